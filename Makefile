@@ -1,0 +1,32 @@
+# Two commands do everything: `make demo` and `make test`. Both set up $(VENV) first.
+PYTHON ?= python3
+VENV ?= .venv
+PIP_INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: demo test lint clean
+
+demo: $(VENV)/.demo-ready
+	$(VENV)/bin/demo --out demo_output
+
+test: $(VENV)/.test-ready lint
+	$(VENV)/bin/python -m pytest
+
+lint: $(VENV)/.test-ready
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
+
+$(VENV)/bin/python:
+	$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), \
+	    f"Python 3.10 to 3.13 is needed, this is {sys.version.split()[0]}; try make PYTHON=python3.12"'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.demo-ready: setup.py setup.cfg | $(VENV)/bin/python
+	$(PIP_INSTALL) --editable '.[jazzy,analysis]'
+	touch $@
+
+$(VENV)/.test-ready: setup.py setup.cfg | $(VENV)/bin/python
+	$(PIP_INSTALL) --editable '.[jazzy,analysis,test]'
+	touch $@ $(VENV)/.demo-ready
+
+clean:
+	rm -rf $(VENV) demo_output build install log *.egg-info

@@ -1,0 +1,1 @@
+"""Recordings of a motion: writing and reading bags, measuring and drawing what they hold."""

@@ -1,0 +1,97 @@
+"""Pictures of a motion (matplotlib, files only)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use('Agg')
+from matplotlib.figure import Figure
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+OBSTACLE_COLOR = '#c8553d'
+ARM_COLOR = '#1d3557'
+PATH_COLOR = '#2a9d8f'
+
+
+def motion_picture(
+    path: Path, robot: Robot, times: Array, positions: Array, velocities: Array,
+    obstacles: Sequence[Obstacle], title: str,
+) -> None:
+    """Write one picture: the arm's motion around the obstacles, and its joint curves.
+
+    Args:
+        path: PNG or SVG file to write.
+        robot: the arm.
+        times: (k,) [s].
+        positions, velocities: (k, n).
+        obstacles: the ellipsoids.
+        title: above it all.
+    """
+    figure = Figure(figsize=(13.0, 6.5), layout='constrained')
+    figure.suptitle(title)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
+    space = figure.add_subplot(grid[:, 0], projection='3d')
+    draw_arm(space, robot, positions[np.linspace(0, len(positions) - 1, 7).astype(int)],
+             obstacles)
+    tips = np.array([robot.kinematics(q).tip_position for q in positions])
+    space.plot(*tips.T, color=PATH_COLOR, linewidth=2.0, label='tip path')
+    space.legend(loc='upper left', frameon=False)
+    for row, values, label in ((0, positions - positions[0], 'displacement [rad, m]'),
+                               (1, velocities, 'velocity [rad/s, m/s]')):
+        axes = figure.add_subplot(grid[row, 1])
+        for name, series in zip(robot.joint_names, values.T):
+            axes.plot(times, series, label=name, linewidth=1.4)
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3)
+        if row == 0:
+            axes.legend(ncols=4, fontsize='small', frameon=False)
+        else:
+            axes.set_xlabel('time [s]')
+    figure.savefig(path, dpi=110)
+
+
+def draw_arm(
+    axes: Any, robot: Robot, postures: Array, obstacles: Sequence[Obstacle],
+) -> None:
+    """Draw the links at several postures, the last one darkest, and the obstacles.
+
+    Args:
+        axes: 3-D axes.
+        robot: the arm.
+        postures: (k, n).
+        obstacles: the ellipsoids.
+    """
+    corners = []
+    for i, q in enumerate(postures):
+        points = robot.kinematics(q).joint_points
+        chain = np.vstack((np.zeros(3), points))
+        corners.append(chain)
+        axes.plot(*chain.T, color=ARM_COLOR, alpha=0.15 + 0.85 * (i + 1) / len(postures),
+                  linewidth=2.0 + (i + 1 == len(postures)), marker='o', markersize=3)
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 24), np.linspace(0, np.pi, 12))
+    sphere = np.stack((np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)), axis=-1)
+    for obstacle in obstacles:
+        surface = (sphere * obstacle.semi_axes) @ obstacle.rotation.T + obstacle.center
+        axes.plot_surface(*np.moveaxis(surface, -1, 0), color=OBSTACLE_COLOR, alpha=0.6,
+                          linewidth=0)
+        corners.append(surface.reshape(-1, 3))
+    extent = np.vstack(corners)
+    low, high = extent.min(axis=0), extent.max(axis=0)
+    half = 0.5 * float((high - low).max())
+    for setter, middle in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), 0.5 * (low + high)):
+        setter(middle - half, middle + half)
+    axes.set_box_aspect((1, 1, 1))
+    axes.set_xlabel('x [m]')
+    axes.set_ylabel('y [m]')
+    axes.set_zlabel('z [m]')
+    axes.view_init(elev=18, azim=-35)

@@ -1,0 +1,218 @@
+"""A scenario played live: every node a process of its own, the traffic recorded to a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import ctypes
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+from types import TracebackType
+
+from geometry_msgs.msg import Twist
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from redundant_planner.analysis.recording import BagWriter
+from redundant_planner.core.errors import PlannerError
+from redundant_planner.nodes.process import best_executor
+from redundant_planner.scenario import Scenario
+
+_TOPICS = {
+    'joint_states': (JointState, 'sensor_msgs/msg/JointState'),
+    'joint_command': (JointState, 'sensor_msgs/msg/JointState'),
+    'cmd_vel': (Twist, 'geometry_msgs/msg/Twist'),
+    'obstacles': (MarkerArray, 'visualization_msgs/msg/MarkerArray'),
+    'robot_description': (String, 'std_msgs/msg/String'),
+}
+_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
+# How long processes get to start, and to end after an interrupt [s].
+_START_PATIENCE = 30.0
+_END_PATIENCE = 3.0
+
+
+class LiveError(PlannerError):
+    """A process ended, or did not do its part in time."""
+
+
+class Processes:
+    """Nodes of this package as child processes; none outlives the `with` block.
+
+    Attributes:
+        environment: of the children: their own ROS domain, on this machine only.
+    """
+
+    def __init__(self, domain_id: int) -> None:
+        """Prepare for processes on a ROS domain."""
+        self.environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_id),
+                                ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> Processes:
+        """Return itself; processes are started one by one."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End every child: interrupt, and kill what does not react."""
+        for child in self._children.values():
+            if child.poll() is None:
+                child.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + _END_PATIENCE
+        for child in self._children.values():
+            try:
+                child.wait(max(deadline - time.monotonic(), 0.01))
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.wait()
+
+    def start(
+        self, node: str, files: Sequence[Path] = (),
+        values: Mapping[str, object] | None = None, remap: Mapping[str, str] | None = None,
+    ) -> subprocess.Popen[bytes]:
+        """Start a node of this package.
+
+        Args:
+            node: 'planner_node', 'fake_hardware_node' or 'scenario_player'.
+            files: parameter files.
+            values: single parameters, which win over the files.
+            remap: names to remap.
+        """
+        command = [sys.executable, '-m', f'redundant_planner.nodes.{node}', '--ros-args']
+        for file in files:
+            command += ['--params-file', str(file)]
+        for name, value in (values or {}).items():
+            command += ['-p', f'{name}:={_yaml(value)}']
+        for name, target in (remap or {}).items():
+            command += ['-r', f'{name}:={target}']
+        # A session of its own, so that Ctrl-C reaches us alone and the end is in our order;
+        # and a death signal, so that nothing stays behind even if we are killed.
+        child = subprocess.Popen(command, env=self.environment, start_new_session=True,
+                                 preexec_fn=_die_with_parent)
+        self._children[node] = child
+        return child
+
+    def check(self) -> None:
+        """Raise a LiveError if a child has ended with an error."""
+        for node, child in self._children.items():
+            if child.poll() not in (None, 0):
+                raise LiveError(f'{node} ended with exit status {child.returncode}')
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, (list, tuple)):
+        return '[' + ', '.join(_yaml(item) for item in value) + ']'
+    if isinstance(value, bool):
+        return str(value).lower()
+    return str(value)
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_DEATH_SIGNAL, signal.SIGKILL)
+
+
+def cpu_seconds(pid: int) -> float:
+    """Return the processor time a process has used [s]."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
+
+@dataclass(frozen=True)
+class LiveRun:
+    """What a live run leaves besides its bag.
+
+    Attributes:
+        bag: the bag's folder.
+        planner_cpu: share of one core that the planner's process used during the motion.
+    """
+
+    bag: Path
+    planner_cpu: float
+
+
+def play(
+    scenario: Scenario, scenario_file: Path, bag: Path, *, planner_files: Sequence[Path] = (),
+    planner_values: Mapping[str, object] | None = None, domain_id: int | None = None,
+) -> LiveRun:
+    """Play a scenario through planner_node and fake_hardware_node and record it.
+
+    Args:
+        scenario: the scenario, as loaded from
+        scenario_file: its file.
+        bag: folder to write, must not exist.
+        planner_files: parameter files for the planner besides the robot's.
+        planner_values: single parameters; 'urdf' goes to the fake hardware as well.
+        domain_id: ROS domain; one derived from the process number if not given.
+
+    Raises:
+        LiveError: a process failed or the motion did not end in time.
+    """
+    domain_id = 1 + os.getpid() % 100 if domain_id is None else domain_id
+    values = dict(planner_values or {})
+    arm = {'initial_joints': list(scenario.start),
+           'initial_positions': list(scenario.start.values())}
+    if 'urdf' in values:
+        arm['urdf'] = values['urdf']
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    context = Context()
+    rclpy.init(context=context, domain_id=domain_id)
+    try:
+        with Processes(domain_id) as processes, BagWriter(bag) as writer:
+            seen: set[str] = set()
+            recorder = Node('recorder', context=context, enable_rosout=False,
+                            start_parameter_services=False)
+            _record(recorder, writer, seen)
+            executor = best_executor(context)
+            executor.add_node(recorder)
+            processes.start('fake_hardware_node', [scenario.robot_file], arm)
+            planner = processes.start(
+                'planner_node', [scenario.robot_file, *planner_files], values)
+
+            def spin_until(done: object, patience: float, what: str) -> None:
+                deadline = time.monotonic() + patience
+                while not done():  # type: ignore[operator]
+                    processes.check()
+                    if time.monotonic() > deadline:
+                        raise LiveError(f'{what} within {patience:g} s')
+                    executor.spin_once(timeout_sec=0.05)
+
+            spin_until(lambda: 'joint_command' in seen, _START_PATIENCE,
+                       'no joint_command was published')
+            player = processes.start(
+                'scenario_player', values={'scenario': scenario_file, **(
+                    {'urdf': values['urdf']} if 'urdf' in values else {})})
+            spin_until(lambda: 'cmd_vel' in seen, _START_PATIENCE, 'no cmd_vel was published')
+            begin, used = time.monotonic(), cpu_seconds(planner.pid)
+            spin_until(lambda: player.poll() is not None, scenario.duration + _START_PATIENCE,
+                       'the player did not end')
+            share = (cpu_seconds(planner.pid) - used) / (time.monotonic() - begin)
+            recorder.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+    return LiveRun(bag, share)
+
+
+def _record(node: Node, writer: BagWriter, seen: set[str]) -> None:
+    """Write every message of the package's topics to the bag as it arrived."""
+    for topic, (message_class, message_type) in _TOPICS.items():
+        writer.add_topic(f'/{topic}', message_type)
+        latched = topic == 'robot_description'
+        qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL if latched
+                         else DurabilityPolicy.VOLATILE)
+
+        def keep(message: bytes, topic: str = topic) -> None:
+            seen.add(topic)
+            writer.write(f'/{topic}', time.time_ns(), message)
+
+        node.create_subscription(message_class, topic, keep, qos, raw=True)

@@ -1,0 +1,1 @@
+"""The mathematics of the planner: NumPy, Pinocchio and DAQP, nothing of ROS."""

@@ -1,0 +1,124 @@
+"""Performance indices: each function returns a value and its gradient in q.
+
+Sign convention of the whole package: ∇H points where the arm should go. `clearance_index` is
+to be maximised; `joint_limit_index` and `shortest_path_index` are to be minimised and enter the
+sum of Eq. 18 with a minus sign, in `total_gradient` and nowhere else.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.obstacles import clearance_gradients, Pairs, pseudo_distance, Whitening
+
+Array = npt.NDArray[np.float64]
+
+# A pair whose weight in the smoothed minimum is below exp(−25) = 1.4e-11 is left out.
+_NEGLIGIBLE = 25.0
+
+
+def joint_limit_index(q: Array, position_min: Array, position_max: Array) -> tuple[float, Array]:
+    """Return H_s of Eq. 3 and its gradient; joints without limits do not count.
+
+    H_s = Σ [(q_i − m_i) / (q_i,max − q_i,min)]², m_i the middle of the range.
+
+    Args:
+        q, position_min, position_max: (n,) [rad, m].
+    """
+    limited = np.isfinite(position_min) & np.isfinite(position_max)
+    low, high = np.where(limited, position_min, q), np.where(limited, position_max, q)
+    span = np.where(limited, high - low, 1.0)
+    offset = (q - 0.5 * (low + high)) / span
+    return float(offset @ offset), 2.0 * offset / span
+
+
+def clearance_index(
+    maps: Whitening, pairs: Pairs, start: Array, end: Array, columns: Array,
+    joint_count: npt.NDArray[np.intp], *, smoothing: float = 0.0,
+    influence_distance: float = np.inf,
+) -> tuple[float, Array]:
+    """Return H_w of Eq. 7, the smallest S over all links and obstacles, and its gradient.
+
+    The minimum is smoothed to −w ln Σ exp(−S_i/w), so that the gradient turns over gradually
+    where the nearest pair changes; w = 0 is Eq. 7 to the letter. S grows with distance squared
+    and so does ∇S: each pair's share is therefore faded in, from nothing at the influence
+    distance to everything at contact. An infinite influence distance is Eq. 7 to the letter.
+
+    Args:
+        maps: from `whitening`, one row of scales per segment.
+        pairs: from `link_clearance` of these segments.
+        start, end: (c, 3) segments in the base frame [m]; the joints of Eq. 7 are segments of
+            no length.
+        columns: (6, n) joint screws at the base origin.
+        joint_count: (c,) how many leading joints move each segment.
+        smoothing: w [unit of S].
+        influence_distance: [m].
+
+    Returns:
+        H_w (infinite without obstacles), and (n,) its gradient after fading.
+    """
+    gradient = np.zeros(columns.shape[1])
+    if not pairs.clearance.size:
+        return np.inf, gradient
+    levels = pseudo_distance(pairs.clearance)
+    lowest = float(levels.min())
+    if smoothing > 0.0:
+        excess = (levels - lowest) / smoothing
+        links, obstacles = np.nonzero(excess < _NEGLIGIBLE)
+        weights = np.exp(-excess[links, obstacles])
+        total = float(weights.sum())
+        weights /= total
+        value = lowest - smoothing * float(np.log(total))
+    else:
+        first = int(levels.argmin())
+        links, obstacles = (np.array([i]) for i in divmod(first, levels.shape[1]))
+        weights, value = np.ones(1), lowest
+    if np.isfinite(influence_distance):
+        # ρ times the smallest semi-axis never exceeds the distance to the surface.
+        distance = (pairs.clearance / maps.scales.max(axis=-1))[links, obstacles]
+        weights = weights * _fade(distance / influence_distance)
+    acting = weights > 0.0
+    if not acting.any():
+        return value, gradient
+    links, obstacles, weights = links[acting], obstacles[acting], weights[acting]
+    slopes, _ = clearance_gradients(
+        maps, pairs, links, obstacles, start, end, columns, joint_count)
+    # ∇S = 2 (ρ + 1) ∇ρ
+    weights = weights * 2.0 * (pairs.clearance[links, obstacles] + 1.0)
+    return value, weights @ slopes
+
+
+def shortest_path_index(
+    least_norm: Array, dual: Array, derivative_columns: Array,
+) -> tuple[float, Array]:
+    """Return ½‖J⁺ẋ‖², the integrand of Eq. 11 along the least-norm motion, and its gradient.
+
+    With y = (JJᵀ)⁻¹ẋ, ∂(J⁺ẋ)/∂q_k = −J⁺ (∂J/∂q_k) J⁺ẋ + P (∂J/∂q_k)ᵀ y. The second term is
+    orthogonal to J⁺ẋ, so the gradient is −yᵀ (∂J/∂q_k) J⁺ẋ: exact, with no inverse of its own
+    (docs/derivations.md).
+
+    Args:
+        least_norm: (n,) J⁺ẋ.
+        dual: (m,) y.
+        derivative_columns: (m, n) columns (∂J/∂q_k) J⁺ẋ.
+    """
+    return 0.5 * float(least_norm @ least_norm), -(dual @ derivative_columns)
+
+
+def total_gradient(
+    clearance: Array, joint_limit: Array, shortest_path: Array, *, k_w: float, k_s: float,
+    k_f: float,
+) -> Array:
+    """Return ∇H of Eq. 18, (n,), pointing where the arm should go.
+
+    Eq. 18 writes k_w ∇H_w + k_s ∇H_s + k_f ∇H_f and leaves the signs to the coefficients; here
+    all three coefficients are positive and the minimised indices are subtracted.
+    """
+    return k_w * clearance - k_s * joint_limit - k_f * shortest_path
+
+
+def _fade(ratio: Array) -> Array:
+    """Return 1 at 0 and below, 0 at 1 and beyond, with level tangents at both ends."""
+    x = 1.0 - np.minimum(np.maximum(ratio, 0.0), 1.0)
+    return x * x * (3.0 - 2.0 * x)

@@ -1,0 +1,147 @@
+"""Where a velocity command leads: its integral for position drives, and a simulated arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.errors import known, RobotError
+
+Array = npt.NDArray[np.float64]
+
+
+class PositionCommand:
+    """The integral of the velocity commands, for arms that take positions.
+
+    It starts at the measured posture and then follows the commands alone: adding q̇ dt to every
+    measurement instead would leave a position-controlled arm standing behind its own lag.
+    """
+
+    def __init__(self, position_min: Array, position_max: Array, tolerance: float) -> None:
+        """Stay inside the position limits (n,), and within `tolerance` [rad, m] of the arm."""
+        self._min, self._max, self._tolerance = position_min, position_max, tolerance
+        self._q: Array | None = None
+
+    def reset(self) -> None:
+        """Start from the measured posture at the next advance."""
+        self._q = None
+
+    def advance(self, measured: Array, dq: Array, dt: float) -> Array:
+        """Return the positions (n,) to command for velocities `dq` held for `dt`."""
+        if self._q is None or np.abs(self._q - measured).max() > self._tolerance:
+            self._q = measured
+        inside = np.minimum(np.maximum(self._q + dq * dt, self._min), self._max)
+        # An arm found outside its range is not pulled: only its velocity command moves it.
+        self._q = np.where(dq == 0.0, self._q, inside)
+        return self._q.copy()
+
+
+@dataclass(frozen=True)
+class JointRanges:
+    """The movable joints of a URDF, in the order in which they are written there.
+
+    Attributes:
+        names: joint names.
+        position_min, position_max: [rad, m], infinite for continuous joints.
+        velocity_max: [rad/s, m/s], infinite where the URDF gives none.
+    """
+
+    names: tuple[str, ...]
+    position_min: Array
+    position_max: Array
+    velocity_max: Array
+
+
+def joint_ranges(urdf: str) -> JointRanges:
+    """Read the ranges of all independent movable joints.
+
+    Raises:
+        RobotError: the text is not a URDF, has no movable joint, or a joint lacks its limits.
+    """
+    try:
+        root = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise RobotError(f'the URDF is not well-formed XML: {error}') from None
+    names, low, high, rate = [], [], [], []
+    for joint in root.findall('joint'):
+        kind, name = joint.get('type'), joint.get('name', '')
+        if kind not in ('revolute', 'prismatic', 'continuous') or joint.find('mimic') is not None:
+            continue
+        limit = joint.find('limit')
+        if limit is None and kind != 'continuous':
+            raise RobotError(f"joint '{name}' of the URDF has no <limit>")
+        value = {key: float(limit.get(key, 0.0)) if limit is not None else 0.0
+                 for key in ('lower', 'upper', 'velocity')}
+        names.append(name)
+        low.append(-np.inf if kind == 'continuous' else value['lower'])
+        high.append(np.inf if kind == 'continuous' else value['upper'])
+        rate.append(value['velocity'] or np.inf)
+    if not names:
+        raise RobotError('the URDF has no movable joint')
+    return JointRanges(tuple(names), np.array(low), np.array(high), np.array(rate))
+
+
+class SimulatedArm:
+    """An ideal velocity-controlled arm: it does what it is told, within the URDF's limits.
+
+    Time comes in with every call, so it can run against a clock or offline.
+    """
+
+    def __init__(
+        self, ranges: JointRanges, start: dict[str, float], *, command_timeout: float,
+    ) -> None:
+        """Stand still at the start posture; joints not named in it stand at 0 or at a limit.
+
+        Args:
+            ranges: the joints.
+            start: joint name → position [rad, m].
+            command_timeout: a command acts for this long unless it is renewed [s].
+
+        Raises:
+            RobotError: a joint is unknown or starts outside its limits.
+        """
+        self.ranges = ranges
+        self._timeout = command_timeout
+        self._q = np.minimum(np.maximum(np.zeros(len(ranges.names)), ranges.position_min),
+                             ranges.position_max)
+        for name, position in start.items():
+            if name not in ranges.names:
+                raise RobotError(f"initial position of unknown joint '{name}'; the URDF has "
+                                 f'{known(ranges.names)}')
+            i = ranges.names.index(name)
+            if not ranges.position_min[i] <= position <= ranges.position_max[i]:
+                raise RobotError(
+                    f"initial position of joint '{name}' is {position}; its limits are "
+                    f'[{ranges.position_min[i]}, {ranges.position_max[i]}]')
+            self._q[i] = position
+        self._dq = np.zeros_like(self._q)
+        self._now = -np.inf
+        self._expires = -np.inf
+
+    @property
+    def q(self) -> Array:
+        """Positions at the last advance [rad, m]."""
+        return self._q.copy()
+
+    @property
+    def dq(self) -> Array:
+        """Velocities at the last advance [rad/s, m/s]."""
+        return self._dq.copy()
+
+    def command(self, now: float, dq: Array) -> None:
+        """Move at `dq` (n,) from `now` on, as fast as the limits allow."""
+        self.advance(now)
+        self._dq = np.clip(dq, -self.ranges.velocity_max, self.ranges.velocity_max)
+        self._expires = now + self._timeout
+
+    def advance(self, now: float) -> None:
+        """Integrate up to `now` [s]; a clock that goes backwards moves nothing."""
+        moving = max(min(now, self._expires) - self._now, 0.0) if np.isfinite(self._now) else 0.0
+        target = self._q + self._dq * moving
+        self._q = np.clip(target, self.ranges.position_min, self.ranges.position_max)
+        stopped = (self._q != target) | (now >= self._expires)
+        self._dq = np.where(stopped, 0.0, self._dq)
+        self._now = now

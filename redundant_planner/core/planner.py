@@ -1,0 +1,322 @@
+"""One tick of the planner: state, command and scene in, joint velocity out.
+
+The only composition in the package. Every line of `Planner.step` is an equation of the paper or
+a section of docs/derivations.md and docs/safety.md.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core import drift, indices, jacobian, null_space, safety
+from redundant_planner.core.drift import Pose
+from redundant_planner.core.errors import ParameterError, StateError
+from redundant_planner.core.obstacles import (
+    clearance_gradients,
+    link_clearance,
+    Pairs,
+    pseudo_distance,
+    Scene,
+    Whitening,
+    whitening,
+)
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.robot import Kinematics, Robot
+
+Array = npt.NDArray[np.float64]
+
+
+class Nearest(NamedTuple):
+    """The link and obstacle with the smallest level value.
+
+    Attributes:
+        link, obstacle: their names.
+        level: S of Eq. 6 over the whole link, 0 at the safety margin.
+        distance: [m] not more than the true distance beyond the margin; negative inside.
+    """
+
+    link: str
+    obstacle: str
+    level: float
+    distance: float
+
+
+class StepResult(NamedTuple):
+    """What one tick decided; arrays are the caller's to keep.
+
+    Attributes:
+        dq: (n,) joint velocity command [rad/s, m/s].
+        least_norm: (n,) J⁺ẋ of this tick.
+        homogeneous: (n,) k P∇H of this tick.
+        factor: k of Eq. 1.
+        scale: s, the share of the commanded twist that is followed.
+        stage: how the safety filter came to `dq`.
+        reason: one sentence: what slows or stops the arm; empty when nothing does.
+        clearance_index: H_w; infinite without obstacles.
+        nearest: the nearest pair, None without obstacles.
+        manipulability: Yoshikawa's measure, the product of J's singular values.
+        pose: the tip at the measured posture.
+        path_error: (6,) reference pose minus `pose` before this tick, in command axes [m, rad].
+    """
+
+    dq: Array
+    least_norm: Array
+    homogeneous: Array
+    factor: float
+    scale: float
+    stage: safety.Stage
+    reason: str
+    clearance_index: float
+    nearest: Nearest | None
+    manipulability: float
+    pose: Pose
+    path_error: Array
+
+
+class Planner:
+    """Velocity-level redundancy resolution for one robot.
+
+    Between ticks it remembers the last joint velocity and the reference pose, nothing else: the
+    same sequence of inputs gives the same sequence of outputs.
+    """
+
+    def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
+        """Prepare for a robot.
+
+        Raises:
+            ParameterError: the parameters do not fit this robot.
+        """
+        self.robot = robot
+        self._maps_of: tuple[Scene, Whitening] | None = None
+        self._points = np.arange(1, robot.n + 2).clip(max=robot.n)
+        self._controlled = robot.full_twist(np.ones(robot.m)) > 0.0
+        self.parameters = parameters
+        self.reset()
+
+    @property
+    def parameters(self) -> PlannerParameters:
+        """The parameters in use; assigning replaces them all, from the next tick on."""
+        return self._parameters
+
+    @parameters.setter
+    def parameters(self, parameters: PlannerParameters) -> None:
+        robot = self.robot
+        weights = np.array(parameters.joint_weights or np.ones(robot.n))
+        if weights.shape != (robot.n,):
+            raise ParameterError(
+                f"parameter 'joint_weights' has {weights.size} entries; it takes {robot.n}, one "
+                f"per joint of '{robot.name}', or none")
+        margin = parameters.position_margin
+        narrow = robot.position_max - robot.position_min <= 2.0 * margin
+        if narrow.any():
+            name = robot.joint_names[int(narrow.argmax())]
+            raise ParameterError(f"parameter 'position_margin' is {margin}; joint '{name}' has "
+                                 'no range left between its limits')
+        self._parameters = parameters
+        self._weights = weights
+        self._scaling = 1.0 / np.sqrt(weights)
+        self._limits = safety.Limits(robot.position_min + margin, robot.position_max - margin,
+                                     robot.velocity_max, robot.acceleration_max)
+        self._maps_of = None
+
+    def reset(self) -> None:
+        """Forget the last velocity and the reference pose: the arm stands where it is found."""
+        self._previous = np.zeros(self.robot.n)
+        self._reference: Pose | None = None
+
+    @property
+    def reference(self) -> Pose | None:
+        """Where the tip should be now; None before the first tick after a reset."""
+        return self._reference
+
+    def step(self, q: Array, twist: Array, scene: Scene, dt: float) -> StepResult:
+        """Return the joint velocity for the next `dt`.
+
+        Args:
+            q: (n,) measured joint positions [rad, m].
+            twist: (6,) commanded tip twist in the command frame [m/s, rad/s]; entries of axes
+                that are not controlled do not count.
+            scene: the obstacles. Pass the same object while nothing changes.
+            dt: time until the next tick [s].
+
+        Raises:
+            StateError: `q` or `twist` does not fit the robot, or `dt` is not positive.
+        """
+        robot, p = self.robot, self._parameters
+        command = self._checked_command(twist, dt)
+        arm = robot.kinematics(q)
+
+        # ẋ: the command plus what brings the tip back to the reference pose (§ drift).
+        pose = Pose(arm.tip_position, arm.tip_rotation)
+        error = self._path_error(pose)
+        correction = drift.feedback(error, p.drift_gain, p.drift_speed, p.drift_angular_speed)
+        task = robot.task_rows(command + correction)
+
+        # J⁺ẋ, in coordinates in which every joint costs the same.
+        parts = null_space.decompose(arm.jacobian * self._scaling)
+        gains = null_space.inverse_gains(
+            parts.singular_values, p.damping_threshold, p.damping)
+        least_norm = null_space.least_norm(parts, gains, task)
+
+        # ∇H, Eq. 18, and k P∇H, Eqs. 1 and 2.
+        maps, pairs = self._clearances(arm, scene)
+        level, gradient = self._total_gradient(arm, maps, pairs, scene, parts, gains, least_norm,
+                                               task)
+        projected = null_space.project(parts, gradient * self._scaling)
+        factor = p.k_fixed
+        if p.method == 'dynamic_factor':
+            factor = null_space.dynamic_factor(
+                p.k_alpha, float(np.linalg.norm(least_norm)), float(np.linalg.norm(projected)))
+        least_norm = self._scaling * least_norm
+        homogeneous = self._scaling * (factor * projected)
+        dq = least_norm + homogeneous  # Eq. 1
+
+        scale, stage, reason = 1.0, safety.Stage.DESIRED, ''
+        if p.safety_filter:
+            dq, scale, stage, reason = self._filtered(
+                dq, bool(parts.singular_values[-1] >= p.damping_threshold), arm, task, maps,
+                pairs, scene, dt)
+
+        followed = robot.full_twist(arm.jacobian @ dq - scale * robot.task_rows(correction))
+        self._reference = drift.integrate(
+            drift.displaced(pose, error, robot.command_frame), followed, dt, robot.command_frame)
+        self._previous = dq
+        return StepResult(
+            dq.copy(), least_norm, homogeneous, factor, scale, stage, reason, level,
+            self._nearest(maps, pairs, scene), parts.manipulability, pose, error)
+
+    def _checked_command(self, twist: Array, dt: float) -> Array:
+        """Return the controlled part of the twist, no faster than the speed limits."""
+        command = np.array(twist, dtype=float)
+        if command.shape != (6,) or not np.isfinite(command).all():
+            raise StateError(f'twist is {command.tolist()}; it takes six finite numbers '
+                             '[m/s, rad/s]')
+        if not (np.isfinite(dt) and dt > 0.0):
+            raise StateError(f'dt is {dt}; it must be positive [s]')
+        command[~self._controlled] = 0.0
+        excess = max(float(np.abs(command[:3]).max()) / self._parameters.linear_speed_max,
+                     float(np.abs(command[3:]).max()) / self._parameters.angular_speed_max)
+        if excess > 1.0:
+            # Through the largest entry first: the norm of an absurd twist would overflow.
+            command /= excess
+        linear = float(np.linalg.norm(command[:3])) / self._parameters.linear_speed_max
+        angular = float(np.linalg.norm(command[3:])) / self._parameters.angular_speed_max
+        return command / max(linear, angular, 1.0)
+
+    def _path_error(self, pose: Pose) -> Array:
+        """Return the error against the reference, nothing on axes that are not controlled."""
+        if self._reference is None:
+            return np.zeros(6)
+        error = drift.pose_error(self._reference, pose, self.robot.command_frame)
+        error[~self._controlled] = 0.0
+        return error
+
+    def _clearances(self, arm: Kinematics, scene: Scene) -> tuple[Whitening, Pairs]:
+        """Return every link × every obstacle; links carry the clearance margin."""
+        if self._maps_of is None or self._maps_of[0] is not scene:
+            radii = np.array([c.radius for c in self.robot.capsules])
+            self._maps_of = scene, whitening(scene, radii + self._parameters.clearance_margin)
+        maps = self._maps_of[1]
+        return maps, link_clearance(maps, arm.segment_start, arm.segment_end)
+
+    def _total_gradient(
+        self, arm: Kinematics, maps: Whitening, pairs: Pairs, scene: Scene,
+        parts: null_space.Decomposition, gains: Array, least_norm: Array, task: Array,
+    ) -> tuple[float, Array]:
+        """Return H_w and ∇H; an index of no weight costs nothing."""
+        p, robot, nothing = self._parameters, self.robot, np.zeros(self.robot.n)
+        level, clearance = np.inf, nothing
+        if p.k_w > 0.0 and scene.names:
+            start, end, count = (arm.segment_start, arm.segment_end, robot.capsule_joint_count)
+            if p.clearance_points == 'joints':
+                start, end, count = arm.joint_points, arm.joint_points, self._points
+                maps = whitening(scene, np.zeros(len(start)))
+                pairs = link_clearance(maps, start, end)
+            level, clearance = indices.clearance_index(
+                maps, pairs, start, end, arm.columns, count, smoothing=p.clearance_smoothing,
+                influence_distance=p.influence_distance)
+        joint_limit = nothing
+        if p.k_s > 0.0:
+            _, joint_limit = indices.joint_limit_index(
+                arm.q, robot.position_min, robot.position_max)
+        shortest_path = nothing
+        if p.k_f > 0.0:
+            dual = parts.left @ (gains * gains * (parts.left.T @ task))
+            _, shortest_path = indices.shortest_path_index(
+                least_norm, dual, self._jacobian_derivative(arm, self._scaling * least_norm))
+        return level, indices.total_gradient(
+            clearance, joint_limit, shortest_path, k_w=p.k_w, k_s=p.k_s, k_f=p.k_f)
+
+    def _jacobian_derivative(self, arm: Kinematics, dq: Array) -> Array:
+        """Return the columns (∂J/∂q_k) q̇ of the controlled axes, (m, n)."""
+        if self.robot.command_frame == 'tool':
+            columns = jacobian.tool_derivative_times(arm.tip_jacobian, arm.tip_rotation, dq)
+        else:
+            columns = jacobian.jacobian_derivative_times(arm.tip_jacobian, dq)
+        return columns[self._controlled]
+
+    def _filtered(
+        self, desired: Array, exact: bool, arm: Kinematics, task: Array, maps: Whitening,
+        pairs: Pairs, scene: Scene, dt: float,
+    ) -> tuple[Array, float, safety.Stage, str]:
+        """Pass the desired velocity through the safety filter and name what acted."""
+        links, obstacles = self._pairs_in_reach(maps, pairs, dt)
+        gradient, rate = clearance_gradients(
+            maps, pairs, links, obstacles, arm.segment_start, arm.segment_end, arm.columns,
+            self.robot.capsule_joint_count)
+        barriers = safety.Barriers(gradient, rate, pairs.clearance[links, obstacles])
+        result = safety.safe_velocity(
+            desired, exact, arm.jacobian, task, arm.q, self._previous, self._limits, barriers,
+            weights=self._weights, gain=self._parameters.barrier_gain, dt=dt)
+        return (result.dq, result.scale, result.stage,
+                self._reason(result, bool(task.any()), links, obstacles, scene, dt))
+
+    def _reason(
+        self, result: safety.Filtered, commanded: bool, links: npt.NDArray[np.intp],
+        obstacles: npt.NDArray[np.intp], scene: Scene, dt: float,
+    ) -> str:
+        """Say what holds the arm back; the drives' own way to speed up and stop does not count."""
+        harmless = (safety.Stage.DESIRED, safety.Stage.SCALED, safety.Stage.BRAKING)
+        if (result.scale > 0.99 or not commanded) and result.stage in harmless:
+            return ''
+        fastest = self.robot.acceleration_max * dt * (1.0 - 1e-6)
+        at_limit = [i for i in result.joints
+                    if abs(result.dq[i] - self._previous[i]) < fastest[i]]
+        if len(result.joints) and not at_limit and not len(result.pairs):  # speeding up
+            return ''
+        names = [f"joint '{self.robot.joint_names[i]}' at its limit" for i in at_limit]
+        names += [f"link '{self.robot.capsules[links[i]].name}' near obstacle "
+                  f"'{scene.names[obstacles[i]]}'" for i in result.pairs]
+        return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
+
+    def _pairs_in_reach(
+        self, maps: Whitening, pairs: Pairs, dt: float,
+    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Return the pairs whose barrier could act in this tick, all of them.
+
+        No point of a link moves faster than Σ |q̇_j| lever_j, and ρ falls by at most that times
+        1 / (smallest semi-axis).
+        """
+        robot, p = self.robot, self._parameters
+        stop = safety.stopping_time(self._previous, robot.acceleration_max) + dt
+        fastest = np.minimum(
+            np.abs(self._previous) + robot.acceleration_max * dt, robot.velocity_max)
+        speed = float(fastest @ robot.levers) + np.sqrt(
+            (maps.velocities * maps.velocities).sum(axis=-1))
+        rate = safety.barrier_rate(p.barrier_gain, stop, dt)
+        links, obstacles = np.nonzero(
+            rate * pairs.clearance <= speed * maps.scales.max(axis=-1))
+        return links, obstacles
+
+    def _nearest(self, maps: Whitening, pairs: Pairs, scene: Scene) -> Nearest | None:
+        if not pairs.clearance.size:
+            return None
+        distances = pairs.clearance / maps.scales.max(axis=-1)
+        link, obstacle = divmod(int(distances.argmin()), len(scene.names))
+        return Nearest(
+            self.robot.capsules[link].name, scene.names[obstacle],
+            float(pseudo_distance(pairs.clearance[link, obstacle])),
+            float(distances[link, obstacle]))

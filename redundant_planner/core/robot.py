@@ -1,0 +1,414 @@
+"""A serial chain read from a URDF, and its kinematics at one posture (Pinocchio)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from redundant_planner.core.errors import known, ObstacleError, RobotError, StateError
+
+Array = npt.NDArray[np.float64]
+
+AXES = ('vx', 'vy', 'vz', 'wx', 'wy', 'wz')
+COMMAND_FRAMES = ('base', 'tool')
+
+_MOVABLE = ('revolute', 'prismatic', 'continuous')
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A link's shape: every point within `radius` of a segment.
+
+    Attributes:
+        name: what messages call it; usually the link's name.
+        frame: URDF link (or Pinocchio frame) that the end points are fixed to.
+        start: (3,) first end of the segment in `frame` [m].
+        end: (3,) second end of the segment in `frame` [m]; may equal `start`.
+        radius: [m], 0 for a bare segment.
+    """
+
+    name: str
+    frame: str
+    start: Array
+    end: Array
+    radius: float
+
+    def __post_init__(self) -> None:
+        """Check the numbers and make the arrays read-only.
+
+        Raises:
+            ObstacleError: an end point is not three finite numbers, or the radius is negative.
+        """
+        for field in ('start', 'end'):
+            point = np.array(getattr(self, field), dtype=float)
+            if point.shape != (3,) or not np.isfinite(point).all():
+                raise ObstacleError(
+                    f"capsule '{self.name}': {field} is {point.tolist()}; "
+                    'it takes three finite coordinates [m]')
+            point.setflags(write=False)
+            object.__setattr__(self, field, point)
+        if not (np.isfinite(self.radius) and self.radius >= 0.0):
+            raise ObstacleError(
+                f"capsule '{self.name}': radius is {self.radius}; it must be 0 or more [m]")
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """The arm at one posture; everything is expressed in the base frame.
+
+    Attributes:
+        q: (n,) joint positions [rad, m].
+        columns: (6, n) joint screws [v; w], v taken at the base origin [m/s, rad/s per unit q̇].
+        tip_position: (3,) [m].
+        tip_rotation: (3, 3) tip axes in the base frame.
+        tip_jacobian: (6, n) of the tip point, base axes (LOCAL_WORLD_ALIGNED).
+        jacobian: (m, n) the controlled rows, in the command frame: J of the paper.
+        segment_start: (c, 3) first ends of the capsules [m].
+        segment_end: (c, 3) second ends of the capsules [m].
+        joint_points: (n + 1, 3) joint origins, then the tip: the X_i of Eq. 7 [m].
+    """
+
+    q: Array
+    columns: Array
+    tip_position: Array
+    tip_rotation: Array
+    tip_jacobian: Array
+    jacobian: Array
+    segment_start: Array
+    segment_end: Array
+    joint_points: Array
+
+
+class Robot:
+    """A chain of n joints from a base frame to a tip frame.
+
+    Attributes:
+        name: the URDF's robot name.
+        urdf: the URDF text it was built from.
+        base_frame, tip_frame: frame names.
+        joint_names: the n chain joints, base first.
+        axes: the m controlled axes, a subset of `AXES` in that order.
+        command_frame: 'base' or 'tool': the frame in which a twist, and so J, is expressed.
+        position_min, position_max: (n,) [rad, m], infinite for continuous joints.
+        velocity_max, acceleration_max: (n,) [rad/s, m/s; per s²].
+        capsules: the link shapes.
+        levers: (n,) the fastest any point of a capsule moves per unit of joint velocity, at any
+            posture: a bound [m/rad, 1 for prismatic joints].
+    """
+
+    def __init__(
+        self,
+        urdf: str,
+        tip_frame: str,
+        *,
+        base_frame: str = '',
+        locked_positions: Mapping[str, float] | None = None,
+        axes: Sequence[str] = AXES,
+        command_frame: str = 'base',
+        velocity_max: Sequence[float] | float | None = None,
+        acceleration_max: Sequence[float] | float = 5.0,
+        capsules: Sequence[Capsule] | None = None,
+        link_radius: float = 0.0,
+    ) -> None:
+        """Read the chain from a URDF.
+
+        Args:
+            urdf: the URDF's text (not its path).
+            tip_frame: the link whose origin is the end effector.
+            base_frame: the link that commands, obstacles and poses refer to; the root link
+                if empty.
+            locked_positions: joint name → position at which it is held [rad, m]. Joints
+                outside the chain are held at 0 (or the nearest limit) unless given here.
+                A chain joint named here is taken out of the chain.
+            axes: controlled axes, out of `AXES`.
+            command_frame: 'base' or 'tool', see the class.
+            velocity_max: replaces the URDF's velocity limits, one value or n [rad/s, m/s].
+            acceleration_max: one value or n [rad/s², m/s²] (a URDF has none).
+            capsules: the link shapes; without them, straight capsules from each joint origin
+                to the next with radius `link_radius` [m].
+            link_radius: see `capsules`.
+
+        Raises:
+            RobotError: the URDF is malformed, a name is unknown, the frames do not form a
+                chain, or a limit or axis makes no sense.
+            ObstacleError: a capsule is not a valid shape.
+        """
+        self.urdf = urdf
+        full_model, continuous = _read_model(urdf)
+        self.name: str = full_model.name
+        self.base_frame = base_frame or _root_link(full_model)
+        self.tip_frame = tip_frame
+        self._model = _reduce_to_chain(
+            full_model, self.base_frame, tip_frame, dict(locked_positions or {}))
+        self._data = self._model.createData()
+        self.joint_names: tuple[str, ...] = tuple(self._model.names)[1:]
+        self.axes = _checked_axes(axes)
+        if command_frame not in COMMAND_FRAMES:
+            raise RobotError(
+                f"command_frame is '{command_frame}'; it must be one of {known(COMMAND_FRAMES)}")
+        self.command_frame = command_frame
+        unlimited = np.array([name in continuous for name in self.joint_names])
+        self.position_min = _read_only(
+            np.where(unlimited, -np.inf, self._model.lowerPositionLimit))
+        self.position_max = _read_only(
+            np.where(unlimited, np.inf, self._model.upperPositionLimit))
+        self.velocity_max = self._limits(
+            'velocity_max', self._model.velocityLimit if velocity_max is None else velocity_max)
+        self.acceleration_max = self._limits('acceleration_max', acceleration_max)
+
+        self._tip_id = self._model.getFrameId(tip_frame)
+        self._rows = np.array([AXES.index(axis) for axis in self.axes])
+        # Views into Pinocchio's own memory: they show the latest posture without a copy or a
+        # Python call per joint. They never leave this class.
+        self._joint_rotations = [self._data.oMi[i].rotation for i in range(self.n + 1)]
+        self._joint_positions = [self._data.oMi[i].translation for i in range(self.n + 1)]
+        self.capsules = tuple(
+            self._default_capsules(link_radius) if capsules is None else capsules)
+        self._place_capsules()
+        self.levers = self._levers()
+
+    @property
+    def n(self) -> int:
+        """Number of chain joints."""
+        return len(self.joint_names)
+
+    @property
+    def m(self) -> int:
+        """Number of controlled axes."""
+        return len(self.axes)
+
+    @property
+    def capsule_joint_count(self) -> npt.NDArray[np.intp]:
+        """(c,) how many of the chain's first joints move each capsule."""
+        return self._capsule_joint
+
+    def kinematics(self, q: npt.ArrayLike) -> Kinematics:
+        """Return the arm's kinematics at `q`.
+
+        Args:
+            q: (n,) joint positions [rad, m].
+
+        Raises:
+            StateError: `q` does not have n finite entries.
+        """
+        q = self.checked_posture(q)
+        pin.computeJointJacobians(self._model, self._data, q)
+        tip = pin.updateFramePlacement(self._model, self._data, self._tip_id)
+        columns = np.array(self._data.J)
+        position, rotation = np.array(tip.translation), np.array(tip.rotation)
+        tip_jacobian = columns.copy()
+        tip_jacobian[:3] -= _skew(position) @ columns[3:]
+        jacobian = tip_jacobian
+        if self.command_frame == 'tool':
+            jacobian = (rotation.T @ tip_jacobian.reshape(2, 3, -1)).reshape(6, -1)
+        joint_rotations = np.array(self._joint_rotations)
+        joint_positions = np.array(self._joint_positions)
+        ends = (joint_rotations[self._capsule_joint] @ self._capsule_ends).transpose(2, 0, 1)
+        ends = ends + joint_positions[self._capsule_joint]
+        return Kinematics(
+            q=q,
+            columns=columns,
+            tip_position=position,
+            tip_rotation=rotation,
+            tip_jacobian=tip_jacobian,
+            jacobian=jacobian[self._rows],
+            segment_start=ends[0],
+            segment_end=ends[1],
+            joint_points=np.vstack((joint_positions[1:], position)))
+
+    def checked_posture(self, q: npt.ArrayLike) -> Array:
+        """Return `q` as a fresh (n,) array of floats.
+
+        Raises:
+            StateError: the length is wrong or an entry is not finite.
+        """
+        posture = np.array(q, dtype=float)
+        if posture.shape != (self.n,):
+            raise StateError(
+                f'posture has shape {posture.shape}; the chain has {self.n} joints: '
+                f'{known(self.joint_names)}')
+        if not np.isfinite(posture).all():
+            name = self.joint_names[int(np.argmin(np.isfinite(posture)))]
+            raise StateError(f"posture of joint '{name}' is not a finite number")
+        return posture
+
+    def task_rows(self, twist: npt.ArrayLike) -> Array:
+        """Return the controlled entries (m,) of a full twist (6,)."""
+        return np.asarray(twist, dtype=float)[self._rows]
+
+    def full_twist(self, task: Array) -> Array:
+        """Return the twist (6,) whose controlled entries are `task` (m,), zero elsewhere."""
+        twist = np.zeros(6)
+        twist[self._rows] = task
+        return twist
+
+    def _limits(self, what: str, values: Sequence[float] | float) -> Array:
+        limits = np.array(values, dtype=float)
+        if limits.ndim > 1 or limits.size not in (1, self.n):
+            raise RobotError(
+                f'{what} has {limits.size} values; it takes 1 or {self.n}, one per joint: '
+                f'{known(self.joint_names)}')
+        limits = np.broadcast_to(limits.reshape(-1), (self.n,)).copy()
+        for name, limit in zip(self.joint_names, limits):
+            if not (np.isfinite(limit) and limit > 0.0):
+                raise RobotError(
+                    f"{what} of joint '{name}' is {limit}; it must be a positive number "
+                    '(give it as a parameter where the URDF has none)')
+        return _read_only(limits)
+
+    def _default_capsules(self, radius: float) -> list[Capsule]:
+        """Straight capsules between consecutive joint origins, the last one to the tip.
+
+        Joints that share an origin have no link between them and get none without a radius.
+        """
+        tip = self._model.frames[self._tip_id]
+        ends = [self._model.jointPlacements[i + 1].translation for i in range(1, self.n)]
+        ends.append(tip.placement.translation)
+        return [Capsule(f'{name}_link', name, np.zeros(3), np.array(end), radius)
+                for name, end in zip(self.joint_names, ends)
+                if radius > 0.0 or np.any(end != 0.0)]
+
+    def _place_capsules(self) -> None:
+        """Express the capsules in their parent joints' frames."""
+        joints, ends = [], []
+        for capsule in self.capsules:
+            if not self._model.existFrame(capsule.frame):
+                raise RobotError(
+                    f"capsule '{capsule.name}': the robot has no frame '{capsule.frame}'; "
+                    f'it has {known(_links(self._model))}')
+            frame = self._model.frames[self._model.getFrameId(capsule.frame)]
+            joints.append(frame.parentJoint)
+            ends.append(np.column_stack(
+                [frame.placement.act(np.array(end)) for end in (capsule.start, capsule.end)]))
+        self._capsule_joint = np.array(joints, dtype=np.intp)
+        self._capsule_ends = np.array(ends).reshape(-1, 3, 2)
+
+
+    def _levers(self) -> Array:
+        """Bound the distance of any capsule point from each joint by the lengths after it."""
+        revolute = np.array([joint.shortname().startswith('JointModelR')
+                             for joint in list(self._model.joints)[1:]])
+        stroke = np.where(revolute, 0.0, np.maximum(
+            np.abs(self._model.lowerPositionLimit), np.abs(self._model.upperPositionLimit)))
+        length = np.array([float(np.linalg.norm(self._model.jointPlacements[i + 1].translation))
+                           for i in range(self.n)])
+        farthest = np.zeros(self.n + 1)
+        for joint, ends in zip(self._capsule_joint, self._capsule_ends):
+            farthest[joint] = max(farthest[joint], np.linalg.norm(ends, axis=0).max())
+        levers = np.empty(self.n)
+        beyond = 0.0
+        for i in reversed(range(self.n)):
+            beyond = max(float(farthest[i + 1]), beyond)
+            levers[i] = beyond if revolute[i] else 1.0
+            beyond += length[i] + stroke[i]
+        return _read_only(levers)
+
+
+def _read_only(array: Array) -> Array:
+    array.setflags(write=False)
+    return array
+
+
+def _skew(vector: Array) -> Array:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _read_model(urdf: str) -> tuple[pin.Model, set[str]]:
+    """Build the whole robot with one scalar position per joint, and name its continuous joints.
+
+    Pinocchio gives a continuous joint two coordinates (cos, sin); as an unlimited revolute
+    joint it has one, and every posture here is a plain vector.
+    """
+    try:
+        root = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise RobotError(f'the URDF is not well-formed XML: {error}') from None
+    if root.tag != 'robot':
+        raise RobotError(f"the URDF's outermost element is <{root.tag}>; it must be <robot>")
+    continuous = set()
+    for joint in root.findall('joint'):
+        if joint.get('type') == 'continuous':
+            continuous.add(joint.get('name', ''))
+            joint.set('type', 'revolute')
+            limit = joint.find('limit')
+            if limit is None:
+                limit = ElementTree.SubElement(joint, 'limit', effort='0', velocity='0')
+            limit.set('lower', '-1e9')
+            limit.set('upper', '1e9')
+    try:
+        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding='unicode'))
+    except (ValueError, RuntimeError) as error:
+        raise RobotError(f'the URDF does not describe a robot: {error}') from None
+    return model, continuous
+
+
+def _links(model: pin.Model) -> list[str]:
+    return [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+
+
+def _root_link(model: pin.Model) -> str:
+    return _links(model)[0]
+
+
+def _reduce_to_chain(
+    model: pin.Model, base_frame: str, tip_frame: str, locked_positions: dict[str, float],
+) -> pin.Model:
+    """Lock every joint outside base → tip and make the base frame Pinocchio's world."""
+    for role, frame in (('base_frame', base_frame), ('tip_frame', tip_frame)):
+        if not model.existFrame(frame):
+            raise RobotError(
+                f"{role} '{frame}' is not in the URDF; it has {known(_links(model))}")
+    for name, position in locked_positions.items():
+        if name not in tuple(model.names)[1:]:
+            raise RobotError(
+                f"locked joint '{name}' is not a movable joint of the URDF; "
+                f'it has {known(tuple(model.names)[1:])}')
+        if not np.isfinite(position):
+            raise RobotError(f"locked joint '{name}' is held at {position}; "
+                             'it must be a finite number [rad, m]')
+
+    tip_joint = model.frames[model.getFrameId(tip_frame)].parentJoint
+    base_joint = model.frames[model.getFrameId(base_frame)].parentJoint
+    tip_support = list(model.supports[tip_joint])
+    base_support = list(model.supports[base_joint])
+    if tip_support[:len(base_support)] != base_support:
+        raise RobotError(
+            f"tip_frame '{tip_frame}' does not hang from base_frame '{base_frame}'")
+    chain = [i for i in tip_support[len(base_support):]
+             if model.names[i] not in locked_positions]
+    if not chain:
+        raise RobotError(
+            f"no movable joint lies between base_frame '{base_frame}' and "
+            f"tip_frame '{tip_frame}'")
+
+    posture = np.clip(pin.neutral(model), model.lowerPositionLimit, model.upperPositionLimit)
+    for name, position in locked_positions.items():
+        posture[model.joints[model.getJointId(name)].idx_q] = position
+    locked = [i for i in range(1, model.njoints) if i not in chain]
+    reduced = pin.buildReducedModel(model, locked, posture)
+
+    data = reduced.createData()
+    pin.framesForwardKinematics(reduced, data, pin.neutral(reduced))
+    world_in_base = data.oMf[reduced.getFrameId(base_frame)].inverse()
+    for i in range(1, reduced.njoints):
+        if reduced.parents[i] == 0:
+            reduced.jointPlacements[i] = world_in_base * reduced.jointPlacements[i]
+    for frame in reduced.frames:
+        if frame.parentJoint == 0:
+            frame.placement = world_in_base * frame.placement
+    return reduced
+
+
+def _checked_axes(axes: Sequence[str]) -> tuple[str, ...]:
+    unknown = [axis for axis in axes if axis not in AXES]
+    if unknown or not axes or len(set(axes)) != len(axes):
+        raise RobotError(
+            f'axes are {list(axes)}; they must be a non-empty choice, without repetition, '
+            f'of {known(AXES)}')
+    return tuple(axis for axis in AXES if axis in axes)

@@ -1,0 +1,260 @@
+"""The safety filter: the joint velocity nearest to the desired one that breaks no limit.
+
+One small QP per tick (DAQP) in the joint velocity q̇ and the share s of the commanded twist:
+
+    minimise   ½ ‖q̇ − q̇_des‖²_W − price · s
+    subject to J q̇ = s ẋ,  0 ≤ s ≤ 1          the direction is kept, only speed gives way
+               lower ≤ q̇ ≤ upper               position, velocity and acceleration limits
+               ∇ρ·q̇ + ∂ρ/∂t ≥ −rate · ρ        control barrier of every near pair
+
+Barriers and position limits ask for no braking that the acceleration limits do not give. Let
+T = max_j |q̇_j| / a_j be the time in which the arm can stop with all joints slowing in
+proportion; a clearance or joint range h is then used up by at most |ḣ| T/2 until standstill, so
+ḣ ≥ −h / (T/2 + dt) can always be kept by braking (docs/safety.md has the proof).
+
+Where the first problem has no solution the next one is tried:
+
+    SCALED   T may grow by dt: the arm may speed up.
+    BRAKING  T must shrink by dt, and the twist may keep a share r of the present one,
+             J q̇ = s ẋ + r J q̇_prev: an arm in motion cannot turn or stop at once.
+    FORCED   barriers get a heavily priced slack; limits stay.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+import daqp
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+# Prices per unit, each large enough to be paid only when nothing cheaper helps; the squared
+# joint velocities they compete with are of the order of 1 (rad/s)².
+_PRICE_SCALE = 1e3
+_PRICE_COAST = 1e5
+_PRICE_BARRIER = 1e7
+_UNBOUNDED = 1e30
+# Multipliers below this are round-off, not a constraint that acts.
+_ACTIVE = 1e-9
+_TOLERANCE = 1e-9
+_EQUALITY = 5
+# Reserve on the stopping distance for gradients that turn while the arm brakes.
+_CURVATURE_RESERVE = 1.25
+
+
+class Stage(Enum):
+    """Which problem gave the velocity, in the order in which they are tried."""
+
+    DESIRED = 'the desired velocity breaks no limit'
+    SCALED = 'the speed gave way'
+    BRAKING = 'the arm brakes'
+    FORCED = 'a clearance could not be kept at the rate asked for'
+    STOPPED = 'no problem had a solution: every joint slows down as fast as it may'
+
+
+class Limits(NamedTuple):
+    """What a joint may do, (n,) each [rad, m; per s; per s²]."""
+
+    position_min: Array
+    position_max: Array
+    velocity_max: Array
+    acceleration_max: Array
+
+
+class Barriers(NamedTuple):
+    """Clearances that must not be used up.
+
+    Attributes:
+        gradient: (p, n) ∂ρ/∂q.
+        drift: (p,) ∂ρ/∂t from the obstacles' own motion [1/s].
+        clearance: (p,) ρ against the margin; negative when inside it.
+    """
+
+    gradient: Array
+    drift: Array
+    clearance: Array
+
+
+class Filtered(NamedTuple):
+    """What the filter decided.
+
+    Attributes:
+        dq: (n,) joint velocity.
+        scale: s, the share of the commanded twist that is followed.
+        coast: r, the share of the previous twist that could not be braked away.
+        stage: which problem it comes from.
+        joints: indices of the joints whose bound acts.
+        pairs: indices of the barriers that act.
+    """
+
+    dq: Array
+    scale: float
+    coast: float
+    stage: Stage
+    joints: npt.NDArray[np.intp]
+    pairs: npt.NDArray[np.intp]
+
+
+_NONE = np.empty(0, dtype=np.intp)
+
+
+def stopping_time(dq: Array, acceleration_max: Array) -> float:
+    """Return the time in which all joints, slowing in proportion, come to rest [s]."""
+    return float((np.abs(dq) / acceleration_max).max())
+
+
+def velocity_bounds(
+    q: Array, previous: Array, limits: Limits, stop: float, dt: float,
+) -> tuple[Array, Array, bool]:
+    """Return (lower, upper) joint velocities, (n,) each, from which the arm can always stop.
+
+    Upper bound of a joint with distance d to its limit, at acceleration a:
+    - the velocity limit, and previous + a dt;
+    - d / (T/2 + dt), the largest speed at which braking the whole arm in proportion stops it
+      in time. As T ≥ |q̇_j| / a_j for every joint, the joint alone can brake in time as well.
+    The lower bound mirrors it. A joint outside its range may not move further out. Where the
+    acceleration limit contradicts the others, they win.
+
+    Args:
+        q: (n,) positions.
+        previous: (n,) velocity of the last tick.
+        limits: with any margins already taken off.
+        stop: stopping time T that the next velocity may have [s].
+        dt: [s].
+
+    Returns:
+        lower, upper, and whether they keep the acceleration limits.
+    """
+    reach = stop / 2.0 + dt
+    change = limits.acceleration_max * dt
+    highest = np.minimum(
+        limits.velocity_max, np.maximum(limits.position_max - q, 0.0) / reach)
+    lowest = np.maximum(
+        -limits.velocity_max, np.minimum(limits.position_min - q, 0.0) / reach)
+    fastest, slowest = previous + change, previous - change
+    upper = np.minimum(np.maximum(fastest, lowest), highest)
+    lower = np.maximum(np.minimum(slowest, highest), lowest)
+    kept = bool((fastest >= lowest - _TOLERANCE).all() and (slowest <= highest + _TOLERANCE).all())
+    return lower, upper, kept
+
+
+def barrier_rate(gain: float, stop: float, dt: float) -> float:
+    """Return the share of a clearance that may be used up per second [1/s].
+
+    `gain`, or what proportional braking within the stopping time T can still hold if less.
+    """
+    return min(gain, 1.0 / (_CURVATURE_RESERVE * stop / 2.0 + dt))
+
+
+def barrier_bounds(barriers: Barriers, gain: float, stop: float, dt: float) -> Array:
+    """Return b (p,) of ∇ρ·q̇ ≥ b: −rate ρ − ∂ρ/∂t.
+
+    Inside the margin (ρ < 0) the same line asks the pair to move apart.
+
+    Args:
+        barriers: the near pairs.
+        gain: largest share of a clearance that may be used up per second [1/s].
+        stop: stopping time T that the next velocity may have [s].
+        dt: [s].
+    """
+    return -barrier_rate(gain, stop, dt) * barriers.clearance - barriers.drift
+
+
+def safe_velocity(
+    desired: Array, exact: bool, jacobian: Array, twist: Array, q: Array, previous: Array,
+    limits: Limits, barriers: Barriers, *, weights: Array, gain: float, dt: float,
+) -> Filtered:
+    """Return the admissible joint velocity nearest to the desired one.
+
+    Args:
+        desired: (n,) what the method asks for.
+        exact: whether J q̇_des = ẋ; not so where the least-norm solution is damped.
+        jacobian: (m, n).
+        twist: (m,) ẋ, drift feedback included.
+        q, previous: (n,) measured positions and the velocity of the last tick.
+        limits: of the joints.
+        barriers: of the near pairs.
+        weights: (n,) diagonal of W.
+        gain: barrier gain [1/s].
+        dt: [s].
+    """
+    gradient, a = barriers.gradient, limits.acceleration_max
+    stop = stopping_time(previous, a)
+    lower, upper, kept = velocity_bounds(q, previous, limits, stop + dt, dt)
+    bounds = barrier_bounds(barriers, gain, stop + dt, dt)
+    if kept:
+        if exact and bool((desired >= lower).all() and (desired <= upper).all()
+                          and (gradient @ desired >= bounds).all()):
+            return Filtered(desired, 1.0, 0.0, Stage.DESIRED, _NONE, _NONE)
+        found = _solve(Stage.SCALED, desired, jacobian, twist, None, lower, upper, gradient,
+                       bounds, weights)
+        if found is not None:
+            return found
+
+    coasting = jacobian @ previous
+    shorter = max(stop - dt, 0.0)
+    low, high, _ = velocity_bounds(q, previous, limits, shorter, dt)
+    found = _solve(Stage.BRAKING, desired, jacobian, twist, coasting,
+                   np.minimum(np.maximum(low, -a * shorter), high),
+                   np.maximum(np.minimum(high, a * shorter), low),
+                   gradient, barrier_bounds(barriers, gain, shorter, dt), weights)
+    if found is None:
+        found = _solve(Stage.FORCED, desired, jacobian, twist, coasting, lower, upper, gradient,
+                       bounds, weights)
+    if found is None:
+        still = np.minimum(np.maximum(0.0, lower), upper)
+        found = Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE)
+    return found
+
+
+def _solve(
+    stage: Stage, desired: Array, jacobian: Array, twist: Array, coasting: Array | None,
+    lower: Array, upper: Array, gradient: Array, bounds: Array, weights: Array,
+) -> Filtered | None:
+    """Set up and solve one stage; None where it has no solution.
+
+    Variables are (q̇, s), then r where the twist may coast, then the barriers' slack.
+    """
+    m, n = jacobian.shape
+    slack = stage is Stage.FORCED
+    size = n + 1 + (coasting is not None) + slack
+    rows = m + len(bounds)
+    hessian = np.zeros((size, size))
+    hessian[range(n), range(n)] = weights
+    hessian[range(n, size), range(n, size)] = 1.0
+    linear = np.empty(size)
+    linear[:n] = -weights * desired
+    linear[n] = -_PRICE_SCALE - 1.0
+    constraints = np.zeros((rows, size))
+    constraints[:m, :n] = jacobian
+    constraints[:m, n] = -twist
+    constraints[m:, :n] = gradient
+    high = np.full(size + rows, _UNBOUNDED)
+    low = np.zeros(size + rows)
+    low[:n], high[:n] = lower, upper
+    high[n:size] = 1.0
+    high[size:size + m] = 0.0
+    low[size + m:] = bounds
+    if coasting is not None:
+        linear[n + 1] = _PRICE_COAST
+        constraints[:m, n + 1] = -coasting
+    if slack:
+        linear[-1] = _PRICE_BARRIER
+        constraints[m:, -1] = 1.0
+        high[size - 1] = _UNBOUNDED
+    sense = np.zeros(size + rows, dtype=np.int32)
+    sense[size:size + m] = _EQUALITY
+    x, _, flag, info = daqp.solve(
+        hessian, linear, constraints, high, low, sense, primal_tol=_TOLERANCE)
+    dq = x[:n]
+    if flag != 1 or not np.isfinite(x).all():
+        return None
+    acting = np.abs(info['lam']) > _ACTIVE
+    return Filtered(
+        np.minimum(np.maximum(dq, lower), upper),
+        min(max(float(x[n]), 0.0), 1.0),
+        float(x[n + 1]) if coasting is not None else 0.0,
+        stage, np.flatnonzero(acting[:n]), np.flatnonzero(acting[size + m:]))

@@ -1,0 +1,1 @@
+"""The ROS nodes: they convert, check ages, call the core and publish."""

@@ -1,0 +1,97 @@
+"""fake_hardware_node: integrates joint_command and publishes joint_states."""
+
+from __future__ import annotations
+
+from collections import deque
+import time
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from redundant_planner.core.errors import ParameterError, StateError
+from redundant_planner.core.joint_motion import joint_ranges, SimulatedArm
+from redundant_planner.nodes import messages, process
+from redundant_planner.nodes.ros_parameters import declare, FakeHardwareParameters
+from redundant_planner.resources import resolve
+from redundant_planner.robot_parameters import RobotParameters
+
+
+class FakeHardwareNode(process.EndableNode):
+    """Stands in for an arm: obeys velocities within the URDF's limits, and echoes its state."""
+
+    def __init__(self) -> None:
+        """Read the URDF and stand at the start posture.
+
+        Raises:
+            PlannerError: a parameter or the URDF is wrong.
+        """
+        super().__init__('fake_hardware_node')
+        robot = declare(self, RobotParameters)
+        settings = declare(self, FakeHardwareParameters)
+        urdf = resolve(robot.urdf).read_text() if robot.urdf else robot.robot_description
+        if not urdf:
+            raise ParameterError("parameter 'urdf' is empty; give the URDF to simulate")
+        self._arm = SimulatedArm(
+            joint_ranges(urdf), dict(zip(settings.initial_joints, settings.initial_positions)),
+            command_timeout=settings.command_timeout)
+        self._noise = settings.noise
+        self._random = np.random.default_rng(0)
+        self._lag = settings.lag
+        self._delayed: deque[tuple[float, np.ndarray]] = deque()
+
+        self._publisher = self.create_publisher(JointState, 'joint_states', 10)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._description = self.create_publisher(String, 'robot_description', latched)
+        self._description.publish(String(data=urdf))
+        self.create_subscription(
+            JointState, 'joint_command', self._on_command, qos_profile_sensor_data)
+        self.create_timer(1.0 / settings.rate, self._tick,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _on_command(self, message: JointState) -> None:
+        ranges = self._arm.ranges
+        try:
+            known = [name for name in ranges.names if name in message.name]
+            unknown = [name for name in message.name if name not in ranges.names]
+            if unknown:
+                raise StateError(f'this arm has no joints {unknown}')
+            dq = np.zeros(len(ranges.names))
+            dq[[ranges.names.index(name) for name in known]] = messages.velocities_from_message(
+                message, known)
+        except StateError as error:
+            self.get_logger().warning(
+                f'joint_command ignored: {error}', throttle_duration_sec=1.0)
+            return
+        self._delayed.append((time.monotonic() + self._lag, dq))
+        self._obey(time.monotonic())
+
+    def _obey(self, now: float) -> None:
+        """Pass on the commands whose dead time is over, each at its own moment."""
+        while self._delayed and self._delayed[0][0] <= now:
+            self._arm.command(*self._delayed.popleft())
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        self._obey(now)
+        self._arm.advance(now)
+        q = self._arm.q
+        if self._noise > 0.0:
+            q = q + self._random.normal(0.0, self._noise, q.shape)
+        message = JointState()
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.name = list(self._arm.ranges.names)
+        message.position = q.tolist()
+        message.velocity = self._arm.dq.tolist()
+        self._publisher.publish(message)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run fake_hardware_node."""
+    return process.run(FakeHardwareNode, 'fake_hardware_node', args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

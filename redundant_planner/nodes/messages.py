@@ -1,0 +1,121 @@
+"""ROS messages to core types and back; what may be wrong in a message is caught here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from geometry_msgs.msg import Twist
+import numpy as np
+import numpy.typing as npt
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
+
+from redundant_planner.core.errors import known, ObstacleError, StateError
+from redundant_planner.core.obstacles import Obstacle
+
+Array = npt.NDArray[np.float64]
+
+NANOSECONDS = 1_000_000_000
+
+
+def twist_from_message(message: Twist) -> Array:
+    """Return (6,) [vx vy vz wx wy wz].
+
+    Raises:
+        StateError: an entry is not finite.
+    """
+    linear, angular = message.linear, message.angular
+    twist = np.array([linear.x, linear.y, linear.z, angular.x, angular.y, angular.z])
+    if not np.isfinite(twist).all():
+        raise StateError(f'twist is {twist.tolist()}; all six entries must be finite')
+    return twist
+
+
+def twist_to_message(twist: npt.ArrayLike) -> Twist:
+    """Return a Twist from (6,) [vx vy vz wx wy wz]."""
+    message = Twist()
+    values = np.asarray(twist, dtype=float).tolist()
+    message.linear.x, message.linear.y, message.linear.z = values[:3]
+    message.angular.x, message.angular.y, message.angular.z = values[3:]
+    return message
+
+
+def positions_from_message(message: JointState, joint_names: Sequence[str]) -> Array:
+    """Return the positions (n,) of the named joints, whatever their order in the message.
+
+    Joints that are not asked for are ignored.
+
+    Raises:
+        StateError: a joint is missing or appears twice, lengths differ, or a value is not finite.
+    """
+    return _values_of(message, joint_names, message.position, 'position')
+
+
+def velocities_from_message(message: JointState, joint_names: Sequence[str]) -> Array:
+    """Return the velocities (n,) of the named joints; errors as `positions_from_message`."""
+    return _values_of(message, joint_names, message.velocity, 'velocity')
+
+
+def _values_of(
+    message: JointState, joint_names: Sequence[str], values: Sequence[float], field: str,
+) -> Array:
+    names = message.name
+    if len(values) != len(names):
+        raise StateError(f'{len(names)} joint names came with {len(values)} {field} values')
+    index = {name: i for i, name in enumerate(names)}
+    if len(index) != len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise StateError(f'joint names appear twice: {known(twice)}')
+    missing = [name for name in joint_names if name not in index]
+    if missing:
+        raise StateError(f'joints are missing: {known(missing)}; the message has {known(names)}')
+    result = np.array([values[index[name]] for name in joint_names])
+    if not np.isfinite(result).all():
+        name = joint_names[int(np.argmin(np.isfinite(result)))]
+        raise StateError(f"{field} of joint '{name}' is {values[index[name]]}")
+    return result
+
+
+def obstacle_key(marker: Marker) -> str:
+    """Return the identity of a marker as people read it: its namespace and number."""
+    return f'{marker.ns}/{marker.id}' if marker.ns else str(marker.id)
+
+
+def obstacle_from_marker(marker: Marker, frames: Sequence[str]) -> Obstacle:
+    """Return the ellipsoid of a SPHERE marker: its scale holds the full axes.
+
+    Args:
+        marker: to convert.
+        frames: names the base frame goes by.
+
+    Raises:
+        ObstacleError: another shape or frame, or numbers that are no ellipsoid.
+    """
+    name = obstacle_key(marker)
+    if marker.type != Marker.SPHERE:
+        raise ObstacleError(f"obstacle '{name}' is a marker of type {marker.type}; "
+                            f'it must be SPHERE ({Marker.SPHERE})')
+    if marker.header.frame_id not in frames:
+        raise ObstacleError(f"obstacle '{name}' is given in frame "
+                            f"'{marker.header.frame_id}'; it must be in {known(frames)}")
+    position, quaternion, scale = marker.pose.position, marker.pose.orientation, marker.scale
+    return Obstacle(
+        name,
+        center=np.array([position.x, position.y, position.z]),
+        semi_axes=0.5 * np.array([scale.x, scale.y, scale.z]),
+        orientation=np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w]))
+
+
+def markers_of(obstacles: Sequence[Obstacle], frame: str) -> MarkerArray:
+    """Return the obstacles as SPHERE markers, numbered in their order."""
+    array = MarkerArray()
+    for i, obstacle in enumerate(obstacles):
+        marker = Marker(ns=obstacle.name, id=i, type=Marker.SPHERE, action=Marker.ADD)
+        marker.header.frame_id = frame
+        position, quaternion, scale = marker.pose.position, marker.pose.orientation, marker.scale
+        position.x, position.y, position.z = obstacle.center.tolist()
+        quaternion.x, quaternion.y, quaternion.z, quaternion.w = obstacle.orientation.tolist()
+        scale.x, scale.y, scale.z = (2.0 * obstacle.semi_axes).tolist()
+        marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.85, 0.35, 0.2, 0.8
+        array.markers.append(marker)
+    return array

@@ -1,0 +1,199 @@
+"""Parameter dataclasses as ROS parameters: declared, described and checked from one place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, Field, fields, replace
+import math
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from redundant_planner.core.errors import ParameterError, PlannerError
+from redundant_planner.core.parameters import check, checked, parameter, spec_of
+
+Settings = TypeVar('Settings')
+
+
+@dataclass(frozen=True)
+class PlannerNodeParameters:
+    """What planner_node needs besides the robot and the mathematics.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    rate: int = parameter(
+        250, low=1, high=1000, unit='Hz',
+        description='Rate of joint_command. A slow rate makes every margin coarser.')
+    incoming_command_timeout: float = parameter(
+        0.1, low=0.005, high=10.0, unit='s', runtime=True,
+        description='A cmd_vel older than this counts as zero. Long timeouts let the arm run on '
+                    'after its operator has gone.')
+    joint_state_timeout: float = parameter(
+        0.1, low=0.005, high=10.0, unit='s', runtime=True,
+        description='Without joint_states for this long the arm is stopped and nothing is '
+                    'published until they are back.')
+    position_tolerance: float = parameter(
+        0.1, low=1e-3, high=10.0, unit='rad, m',
+        description='The commanded positions start again from the measured ones when they are '
+                    'further apart than this.')
+    static_obstacles: tuple[str, ...] = parameter(
+        (), description='Names of fixed obstacles; each has the parameters '
+                        'static_obstacle.NAME.center, .semi_axes and optionally .orientation '
+                        '(x y z w).')
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check(self)
+
+
+@dataclass(frozen=True)
+class FakeHardwareParameters:
+    """What fake_hardware_node needs besides the URDF.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    rate: int = parameter(
+        500, low=1, high=1000, unit='Hz', description='Rate of joint_states.')
+    command_timeout: float = parameter(
+        0.05, low=0.001, high=10.0, unit='s',
+        description='The arm holds still when no joint_command came for this long.')
+    initial_joints: tuple[str, ...] = parameter(
+        (), description='Joints that do not start at 0.')
+    initial_positions: tuple[float, ...] = parameter(
+        (), unit='rad, m', description='One start position per name in initial_joints.')
+    lag: float = parameter(
+        0.0, low=0.0, high=1.0, unit='s',
+        description='Dead time between a command and the motion it causes.')
+    noise: float = parameter(
+        0.0, low=0.0, high=0.1, unit='rad, m',
+        description='Standard deviation of the noise on published positions.')
+
+    def __post_init__(self) -> None:
+        """Check every value and the relations between them."""
+        check(self)
+        if len(self.initial_joints) != len(self.initial_positions):
+            raise ParameterError(
+                f"parameter 'initial_positions' has {len(self.initial_positions)} entries; it "
+                f"takes {len(self.initial_joints)}, one per name in 'initial_joints'")
+
+
+def declare(node: Node, settings: type[Settings]) -> Settings:
+    """Declare the fields of a parameter dataclass on a node and return their values.
+
+    Types are checked here and not by rclpy: 1 is taken for 1.0, and the messages say more.
+
+    Raises:
+        ParameterError: a value given at start does not fit.
+    """
+    values = {}
+    for entry in fields(settings):  # type: ignore[arg-type]
+        node.declare_parameter(entry.name, None, ParameterDescriptor(dynamic_typing=True))
+        given = node.get_parameter(entry.name).value
+        value = entry.default if given is None else checked(entry, given)
+        values[entry.name] = value
+        if value != ():
+            node.set_parameters([Parameter(
+                entry.name, value=list(value) if isinstance(value, tuple) else value)])
+        node.set_descriptor(entry.name, _descriptor(entry))
+    return settings(**values)
+
+
+def _descriptor(entry: Field[Any]) -> ParameterDescriptor:
+    """Return what `ros2 param describe` shows of a field."""
+    spec = spec_of(entry)
+    descriptor = ParameterDescriptor(
+        description=spec.description + (f' [{spec.unit}]' if spec.unit else ''),
+        additional_constraints=f'one of: {", ".join(spec.choices)}' if spec.choices else '',
+        read_only=not spec.runtime, dynamic_typing=True)
+    if math.isfinite(spec.low) and math.isfinite(spec.high):
+        if isinstance(entry.default, int):
+            descriptor.integer_range = [IntegerRange(
+                from_value=int(spec.low), to_value=int(spec.high))]
+        elif isinstance(entry.default, float):
+            descriptor.floating_point_range = [FloatingPointRange(
+                from_value=spec.low, to_value=spec.high)]
+    return descriptor
+
+
+def declare_entries(
+    node: Node, prefix: str, names: Iterable[str], sizes: Mapping[str, int | str],
+) -> dict[str, dict[str, Any]]:
+    """Read the parameters PREFIX.NAME.KEY of a list of named things.
+
+    Args:
+        node: to declare on.
+        prefix: for example 'static_obstacle'.
+        names: of the things.
+        sizes: key → number of floats, or 'text' for a string.
+
+    Returns:
+        name → key → value, with the keys that were given.
+
+    Raises:
+        ParameterError: a value has the wrong type or length.
+    """
+    entries: dict[str, dict[str, Any]] = {}
+    for name in names:
+        entries[name] = {}
+        for key, size in sizes.items():
+            full = f'{prefix}.{name}.{key}'
+            node.declare_parameter(
+                full, None, ParameterDescriptor(dynamic_typing=True, read_only=True))
+            value = node.get_parameter(full).value
+            if value is not None:
+                entries[name][key] = _checked_entry(full, value, size)
+    return entries
+
+
+def _checked_entry(name: str, value: Any, size: int | str) -> Any:
+    if size == 'text':
+        if not isinstance(value, str):
+            raise ParameterError(f"parameter '{name}' is {value!r}; it must be a string")
+        return value
+    items = list(value) if not isinstance(value, (int, float, str)) else [value]
+    if len(items) != size or not all(
+            isinstance(i, (int, float)) and not isinstance(i, bool) for i in items):
+        raise ParameterError(f"parameter '{name}' is {items}; it takes {size} number"
+                             + ('s' if size != 1 else ''))
+    return [float(i) for i in items] if size != 1 else float(items[0])
+
+
+def on_change(
+    node: Node, current: Callable[[], tuple[Any, ...]], apply: Callable[..., None],
+) -> None:
+    """Let the runtime parameters of the given dataclasses change while the node runs.
+
+    A change is applied as a whole or refused as a whole, with the reason.
+
+    Args:
+        node: whose parameters change.
+        current: returns the settings in use, one instance per dataclass.
+        apply: takes the new settings, in the same order; may raise PlannerError to refuse.
+    """
+
+    def callback(parameters: list[Parameter]) -> SetParametersResult:
+        settings = list(current())
+        try:
+            for change in parameters:
+                for i, setting in enumerate(settings):
+                    entry = next((f for f in fields(setting) if f.name == change.name), None)
+                    if entry is None:
+                        continue
+                    settings[i] = replace(setting, **{change.name: change.value})
+            apply(*settings)
+        except PlannerError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(callback)

@@ -1,0 +1,94 @@
+"""scenario_player: publishes a scenario's obstacles and its twist over time, then ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import time
+
+from geometry_msgs.msg import Twist
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
+
+from redundant_planner.core.errors import ParameterError
+from redundant_planner.core.parameters import check, parameter
+from redundant_planner.nodes import messages, process
+from redundant_planner.nodes.ros_parameters import declare
+from redundant_planner.resources import resolve
+from redundant_planner.scenario import load_scenario
+
+
+@dataclass(frozen=True)
+class PlayerParameters:
+    """What scenario_player needs.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    scenario: str = parameter(
+        '', description='Scenario file: a path, file:// or package:// location. Required.')
+    urdf: str = parameter(
+        '', description="URDF file to use instead of the scenario's robot file's.")
+    rate: int = parameter(
+        200, low=1, high=1000, unit='Hz', description='Rate of cmd_vel.')
+    settle: float = parameter(
+        0.3, low=0.0, high=60.0, unit='s',
+        description='How long the twist stays zero before the motion and after it.')
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check(self)
+
+
+class ScenarioPlayer(process.EndableNode):
+    """Plays one scenario once the planner listens and commands the arm."""
+
+    def __init__(self) -> None:
+        """Read the scenario.
+
+        Raises:
+            PlannerError: the scenario is unusable.
+        """
+        super().__init__('scenario_player')
+        settings = declare(self, PlayerParameters)
+        if not settings.scenario:
+            raise ParameterError("parameter 'scenario' is empty; give a scenario file")
+        self._scenario = load_scenario(resolve(settings.scenario))
+        changes = {'urdf': settings.urdf} if settings.urdf else {}
+        self._base = self._scenario.load_robot(**changes).base_frame
+        self._settle = settings.settle
+        self._begin: float | None = None
+        self._ready = False
+        self._twist = self.create_publisher(Twist, 'cmd_vel', 10)
+        self._obstacles = self.create_publisher(MarkerArray, 'obstacles', 10)
+        self.create_subscription(JointState, 'joint_command', self._on_joint_command, 10)
+        self.create_timer(1.0 / settings.rate, self._tick,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _on_joint_command(self, message: JointState) -> None:
+        self._ready = True
+
+    def _tick(self) -> None:
+        if self._begin is None:
+            if not (self._ready and self._twist.get_subscription_count()
+                    and self._obstacles.get_subscription_count()):
+                return
+            self._obstacles.publish(messages.markers_of(self._scenario.obstacles, self._base))
+            self._begin = time.monotonic() + self._settle
+        elapsed = time.monotonic() - self._begin
+        twist = self._scenario.twist_at(elapsed) if elapsed >= 0.0 else np.zeros(6)
+        self._twist.publish(messages.twist_to_message(twist))
+        if elapsed > self._scenario.duration + self._settle:
+            self.get_logger().info(f"scenario '{self._scenario.name}' is over")
+            self.done = True
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run scenario_player."""
+    return process.run(ScenarioPlayer, 'scenario_player', args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,170 @@
+"""A robot as it stands in a parameter file: which URDF, which chain, which shapes.
+
+The same file serves the nodes (`--params-file`) and everything offline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from redundant_planner.core.errors import known, ParameterError
+from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.parameters import check, parameter
+from redundant_planner.core.robot import AXES, Capsule, COMMAND_FRAMES, Robot
+from redundant_planner.resources import resolve
+
+
+@dataclass(frozen=True)
+class RobotParameters:
+    """What the planner must know of an arm; fixed while a node runs.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    urdf: str = parameter(
+        '', description='URDF file: a path, file:// or package:// location. Empty: the '
+                        'parameter robot_description, or else the topic of that name.')
+    robot_description: str = parameter(
+        '', description="The URDF's text itself, used where urdf is empty.")
+    base_frame: str = parameter(
+        '', description='Link in whose frame commands and obstacles are given; empty for the '
+                        "URDF's root link.")
+    tip_frame: str = parameter(
+        '', description='Link whose origin is the end effector. Required.')
+    axes: tuple[str, ...] = parameter(
+        AXES, choices=AXES,
+        description='Axes of the twist that are controlled; the others are left to the null '
+                    'space.')
+    command_frame: str = parameter(
+        'base', choices=COMMAND_FRAMES,
+        description='Axes in which cmd_vel is expressed: base (fixed) or tool (turning with the '
+                    'tip). The reference point is the tip either way.')
+    locked_joints: tuple[str, ...] = parameter(
+        (), description='Joints held still at locked_positions.')
+    locked_positions: tuple[float, ...] = parameter(
+        (), unit='rad, m', description='One position per locked joint.')
+    velocity_max: tuple[float, ...] = parameter(
+        (), low=1e-6, unit='rad/s, m/s',
+        description="Replaces the URDF's velocity limits: one value, or one per joint.")
+    acceleration_max: tuple[float, ...] = parameter(
+        (5.0,), low=1e-6, unit='rad/s², m/s²',
+        description='Largest joint acceleration: one value, or one per joint. Higher than the '
+                    'drives can follow, and the arm overshoots limits and clearances.')
+    link_radius: float = parameter(
+        0.0, low=0.0, high=1.0, unit='m',
+        description='Radius of the straight capsules between joint origins that stand for the '
+                    'links where no capsules are given.')
+    capsules: tuple[str, ...] = parameter(
+        (), description='Names of the link shapes; each has the parameters '
+                        'capsule.NAME.frame, .start, .end and .radius.')
+
+    def __post_init__(self) -> None:
+        """Check every value and the relations between them."""
+        check(self)
+        if len(self.locked_joints) != len(self.locked_positions):
+            raise ParameterError(
+                f"parameter 'locked_positions' has {len(self.locked_positions)} entries; it "
+                f"takes {len(self.locked_joints)}, one per name in 'locked_joints'")
+
+
+def build_robot(
+    parameters: RobotParameters, urdf: str, capsules: Mapping[str, Mapping[str, Any]],
+) -> Robot:
+    """Return the robot that parameters, URDF text and capsule entries describe.
+
+    Args:
+        parameters: from a node or a file.
+        urdf: the URDF's text.
+        capsules: name → {frame, start, end, radius}.
+
+    Raises:
+        RobotError, ObstacleError, ParameterError: with what is wrong.
+    """
+    p = parameters
+    if not p.tip_frame:
+        raise ParameterError("parameter 'tip_frame' is empty; name the URDF link that is the "
+                             'end effector')
+    return Robot(
+        urdf, p.tip_frame, base_frame=p.base_frame,
+        locked_positions=dict(zip(p.locked_joints, p.locked_positions)),
+        axes=p.axes, command_frame=p.command_frame,
+        velocity_max=p.velocity_max or None, acceleration_max=p.acceleration_max,
+        capsules=[_capsule(name, capsules.get(name, {})) for name in p.capsules] or None,
+        link_radius=p.link_radius)
+
+
+def load_robot(path: Path, **changes: Any) -> Robot:
+    """Return the robot of a ROS parameter file.
+
+    Args:
+        path: a file with `/**: ros__parameters:` at its top.
+        changes: fields of RobotParameters that replace those of the file.
+
+    Raises:
+        PlannerError: the file is unusable, with what is wrong.
+    """
+    values = read_parameter_file(path)
+    names = {entry.name for entry in fields(RobotParameters)}
+    parameters = replace(
+        RobotParameters(**{k: v for k, v in values.items() if k in names}), **changes)
+    urdf = parameters.robot_description
+    if parameters.urdf:
+        urdf = resolve(parameters.urdf, path.parent).read_text()
+    if not urdf:
+        raise ParameterError(f"'{path}' gives no robot: set 'urdf'")
+    return build_robot(parameters, urdf, values.get('capsule', {}))
+
+
+def read_parameter_file(path: Path) -> dict[str, Any]:
+    """Return the parameters that a ROS parameter file sets for every node.
+
+    Raises:
+        ParameterError: it is not YAML, or not a parameter file.
+    """
+    try:
+        content = yaml.safe_load(path.read_text())
+    except yaml.YAMLError as error:
+        raise ParameterError(f"'{path}' is not valid YAML: {error}") from None
+    try:
+        values = content['/**']['ros__parameters']
+    except (TypeError, KeyError):
+        raise ParameterError(f"'{path}' is not a parameter file; it must start with '/**:' and "
+                             "'ros__parameters:'") from None
+    return dict(values)
+
+
+def obstacle_of(name: str, entry: Mapping[str, Any]) -> Obstacle:
+    """Return an obstacle from its entry in a parameter or scenario file.
+
+    Raises:
+        ObstacleError, ParameterError: with what is wrong.
+    """
+    _check_keys(f"obstacle '{name}'", entry, ('center', 'semi_axes'),
+                ('orientation', 'velocity'))
+    return Obstacle(name, **{key: np.asarray(value, dtype=float)
+                             for key, value in entry.items() if key != 'name'})
+
+
+def _capsule(name: str, entry: Mapping[str, Any]) -> Capsule:
+    _check_keys(f"capsule '{name}'", entry, ('frame', 'start', 'end', 'radius'))
+    return Capsule(name, str(entry['frame']), np.asarray(entry['start'], dtype=float),
+                   np.asarray(entry['end'], dtype=float), float(entry['radius']))
+
+
+def _check_keys(
+    what: str, entry: Mapping[str, Any], required: tuple[str, ...],
+    optional: tuple[str, ...] = (),
+) -> None:
+    missing = [key for key in required if key not in entry]
+    unknown = [key for key in entry if key not in (*required, *optional, 'name')]
+    if missing or unknown:
+        raise ParameterError(
+            f'{what} ' + (f'lacks {known(missing)}' if missing else f'has {known(unknown)}')
+            + f'; it takes {known((*required, *optional))}')

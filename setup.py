@@ -1,0 +1,46 @@
+"""Installs the package for colcon (ament_python) and for pip alike."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'redundant_planner'
+SHARE = f'share/{PACKAGE}'
+
+# The real ROS 2 Jazzy as wheels; with ROS sourced, apt has them already.
+JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
+ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'rich>=13']
+TEST = [
+    'colcon-bash', 'colcon-core', 'colcon-python-setup-py', 'colcon-ros', 'example-robot-data',
+    'hypothesis', 'mypy', 'pytest', 'ruff', 'types-PyYAML',
+]
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (SHARE, ['package.xml']),
+        (f'{SHARE}/launch', glob('launch/*')),
+        *((f'{SHARE}/config/{folder}', glob(f'config/{folder}/*'))
+          for folder in ('robots', 'planner', 'scenarios')),
+    ],
+    python_requires='>=3.10',
+    # pin is Pinocchio on PyPI; apt's ros-jazzy-pinocchio provides the same module.
+    install_requires=['setuptools', 'numpy>=1.26', 'pin>=3', 'daqp>=0.5', 'PyYAML>=6'],
+    extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'test': TEST},
+    zip_safe=False,
+    maintainer='redundant_planner developers',
+    maintainer_email='maintainers@example.com',
+    description='Velocity-level redundancy resolution for robot arms among obstacles',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            f'planner_node = {PACKAGE}.nodes.planner_node:main',
+            f'fake_hardware_node = {PACKAGE}.nodes.fake_hardware_node:main',
+            f'scenario_player = {PACKAGE}.nodes.scenario_player:main',
+            f'demo = {PACKAGE}.analysis.demo:main',
+        ],
+    },
+)

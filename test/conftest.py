@@ -1,0 +1,93 @@
+"""Robots that the tests share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sysconfig
+
+import numpy as np
+import pytest
+
+from redundant_planner.core.robot import AXES, Robot
+from redundant_planner.resources import share_directory
+from redundant_planner.robot_parameters import load_robot
+
+ROBOTS = share_directory() / 'config' / 'robots'
+EXAMPLE_ROBOTS = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share'
+                  / 'example-robot-data' / 'robots')
+PANDA_URDF = EXAMPLE_ROBOTS / 'panda_description' / 'urdf' / 'panda.urdf'
+PANDA_READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+
+LENGTHS = (0.5, 0.4, 0.3)
+
+
+def planar_urdf(kinds=('revolute', 'revolute', 'continuous'), lengths=LENGTHS) -> str:
+    """An arm in the x–y plane: joint i turns about z, then a link of lengths[i] along x."""
+    parts = ['<robot name="planar"><link name="base"/>']
+    parent, offset = 'base', 0.0
+    for i, (kind, length) in enumerate(zip(kinds, lengths), start=1):
+        limit = ('<limit velocity="2" effort="1"/>' if kind == 'continuous' else
+                 '<limit lower="-2.5" upper="2.5" velocity="2" effort="1"/>')
+        parts.append(
+            f'<link name="link{i}"/><joint name="joint{i}" type="{kind}">'
+            f'<parent link="{parent}"/><child link="link{i}"/><origin xyz="{offset} 0 0"/>'
+            f'<axis xyz="0 0 1"/>{limit}</joint>')
+        parent, offset = f'link{i}', length
+    parts.append(f'<link name="tip"/><joint name="tip_joint" type="fixed"><parent link="{parent}"/>'
+                 f'<child link="tip"/><origin xyz="{offset} 0 0"/></joint></robot>')
+    return ''.join(parts)
+
+
+def make_paper_arm(**changes) -> Robot:
+    return load_robot(ROBOTS / 'paper_2p5r.yaml', **changes)
+
+
+def make_panda(**changes) -> Robot:
+    return load_robot(ROBOTS / 'panda.yaml', urdf=str(PANDA_URDF), **changes)
+
+
+def make_planar(**options) -> Robot:
+    return Robot(planar_urdf(), 'tip', **{'axes': ('vx', 'vy'), **options})
+
+
+MAKERS = {
+    'paper': make_paper_arm,
+    'panda': make_panda,
+    'panda_position': lambda: make_panda(axes=AXES[:3]),
+    'panda_tool': lambda: make_panda(command_frame='tool'),
+    'planar': make_planar,
+}
+
+
+@pytest.fixture(params=MAKERS)
+def robot(request) -> Robot:
+    return MAKERS[request.param]()
+
+
+@pytest.fixture
+def paper_arm() -> Robot:
+    return make_paper_arm()
+
+
+@pytest.fixture
+def panda() -> Robot:
+    return make_panda()
+
+
+@pytest.fixture
+def planar() -> Robot:
+    return make_planar()
+
+
+def random_postures(robot: Robot, count: int, seed: int = 0) -> np.ndarray:
+    """Postures inside the limits, a little away from them."""
+    low = np.where(np.isfinite(robot.position_min), robot.position_min, -np.pi)
+    high = np.where(np.isfinite(robot.position_max), robot.position_max, np.pi)
+    margin = 0.05 * (high - low)
+    return np.random.default_rng(seed).uniform(low + margin, high - margin, (count, robot.n))
+
+
+def central_difference(function, q: np.ndarray, step: float = 1e-6) -> np.ndarray:
+    """∂function/∂q by central differences; the last axis runs over q."""
+    return np.stack([(np.asarray(function(q + step * e)) - np.asarray(function(q - step * e)))
+                     / (2.0 * step) for e in np.eye(len(q))], axis=-1)

@@ -1,0 +1,50 @@
+"""What each folder may import."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+import sys
+
+import pytest
+
+import redundant_planner
+
+PACKAGE = Path(redundant_planner.__file__).parent
+ROS = {'rclpy', 'rcl_interfaces', 'sensor_msgs', 'geometry_msgs', 'std_msgs',
+       'visualization_msgs', 'diagnostic_msgs', 'ament_index_python'}
+
+
+def imports(path: Path) -> set[str]:
+    """Every module that a file names in an import, wherever it stands."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{path}: relative import'
+            names.add(node.module)
+    return names
+
+
+@pytest.mark.parametrize('path', sorted((PACKAGE / 'core').glob('*.py')), ids=lambda p: p.stem)
+def test_the_core_knows_neither_ros_nor_the_rest_of_the_package(path):
+    for name in imports(path):
+        top = name.split('.')[0]
+        assert (top in {'numpy', 'pinocchio', 'daqp'} or top in sys.stdlib_module_names
+                or name.startswith('redundant_planner.core')), f'{path.name} imports {name}'
+        assert top not in {'time', 'logging', 'datetime'}, f'{path.name} imports {name}'
+
+
+def test_only_nodes_and_the_live_runner_touch_ros():
+    for path in PACKAGE.rglob('*.py'):
+        if path.parent.name == 'nodes' or path.name == 'live.py':
+            continue
+        used = {name.split('.')[0] for name in imports(path)} & ROS
+        assert not used, f'{path} imports {used}'
+
+
+def test_only_one_file_knows_the_bag_format():
+    users = [p.name for p in PACKAGE.rglob('*.py')
+             if any(n.startswith('rosbags') for n in imports(p))]
+    assert users == ['recording.py']

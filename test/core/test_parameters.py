@@ -1,0 +1,87 @@
+"""Every parameter is checked, and every parameter does something."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+from conftest import make_paper_arm
+import numpy as np
+import pytest
+from test_planner import drive
+
+from redundant_planner.core.errors import ParameterError
+from redundant_planner.core.obstacles import Obstacle, Scene
+from redundant_planner.core.parameters import PlannerParameters, spec_of
+from redundant_planner.core.planner import Planner
+
+# A start in which everything matters: near an obstacle, off the reference, in a hurry.
+BASE = PlannerParameters(k_s=0.1, damping_threshold=3.0, linear_speed_max=0.2)
+CHANGES = {
+    'method': 'gradient_projection', 'k_fixed': 0.5, 'k_alpha': 0.3, 'k_w': 0.1, 'k_s': 1.0,
+    'k_f': 30.0, 'clearance_points': 'joints', 'clearance_smoothing': 5.0,
+    'influence_distance': 0.08, 'damping': 1.0, 'damping_threshold': 0.0,
+    'joint_weights': (5.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), 'drift_gain': 1.0,
+    'drift_speed': 0.001, 'drift_angular_speed': 0.001, 'linear_speed_max': 0.1,
+    'angular_speed_max': 0.1, 'safety_filter': False, 'position_margin': 0.0,
+    'clearance_margin': 0.05, 'barrier_gain': 0.5,
+}
+
+
+def motion(parameters, start=(0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1), axes=None):
+    robot = make_paper_arm(**({'axes': axes} if axes else {}))
+    scene = Scene.of([Obstacle('o', np.array([0, 0.55, 0.45]), np.array([0.05, 0.03, 0.03])),
+                      Obstacle('p', np.array([0.05, 0.5, 0.5]), np.array([0.05, 0.03, 0.03]))])
+    planner = Planner(robot, parameters)
+    twist = np.array([-0.1, -0.2, 0.3, 0.0, 0.5, 0.0])
+    postures, _ = drive(planner, start, twist, scene, 0.2)
+    more, _ = drive(planner, postures[-1] + 0.02, twist, scene, 3.0)
+    return np.vstack((postures, more))
+
+
+def test_the_list_of_changes_is_complete():
+    assert set(CHANGES) == {entry.name for entry in fields(PlannerParameters)}
+
+
+@pytest.mark.parametrize('name', CHANGES)
+def test_every_parameter_has_an_effect(name):
+    base = BASE
+    if name == 'k_fixed':
+        base = replace(base, method='gradient_projection')
+    options = {}
+    if 'angular' in name:
+        options['axes'] = ('vx', 'vy', 'vz', 'wy')
+    if name == 'position_margin':
+        options['start'] = (0.38, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1)
+    before = motion(base, **options)
+    after = motion(replace(base, **{name: CHANGES[name]}), **options)
+    assert np.abs(before - after).max() > 1e-6
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    ({'method': 'magic'}, r"'method' is 'magic'; it must be one of 'gradient_projection'"),
+    ({'method': 3}, r"'method' is 3; it must be a string"),
+    ({'k_alpha': -1.0}, r"'k_alpha' is -1.0; it must lie in \[0, 10\]"),
+    ({'k_alpha': 'fast'}, r"'k_alpha' is 'fast'; it must be a number"),
+    ({'k_alpha': True}, r"'k_alpha' is True; it must be a number"),
+    ({'k_alpha': float('nan')}, r"'k_alpha' is nan; it must be a number"),
+    ({'safety_filter': 1}, r"'safety_filter' is 1; it must be true or false"),
+    ({'joint_weights': 3.0}, r"'joint_weights' is 3.0; it must be a list"),
+    ({'joint_weights': (1.0, -1.0)}, r"'joint_weights' is -1.0; it must lie in"),
+    ({'drift_gain': 1e6}, r"'drift_gain' is 1000000.0; it must lie in \[0, 100\] 1/s"),
+    ({'damping': 0.0}, r"'damping' is 0 while 'damping_threshold'"),
+])
+def test_wrong_values_are_refused_with_the_reason(change, message):
+    with pytest.raises(ParameterError, match=message):
+        PlannerParameters(**change)
+
+
+def test_whole_numbers_serve_as_numbers_and_lists_as_tuples():
+    parameters = PlannerParameters(k_alpha=1, joint_weights=[1, 2, 3])
+    assert parameters.k_alpha == 1.0 and isinstance(parameters.k_alpha, float)
+    assert parameters.joint_weights == (1.0, 2.0, 3.0)
+
+
+def test_every_parameter_is_described():
+    for entry in fields(PlannerParameters):
+        assert len(spec_of(entry).description) > 20, entry.name
+        assert spec_of(entry).description.endswith('.'), entry.name

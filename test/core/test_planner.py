@@ -1,0 +1,234 @@
+"""The whole tick in closed loop: trends, identities and the paper's own numbers."""
+
+from __future__ import annotations
+
+from conftest import make_panda, make_paper_arm, make_planar, PANDA_READY, random_postures
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+
+from redundant_planner.core.errors import ParameterError, StateError
+from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot import AXES
+from redundant_planner.core.safety import Stage
+
+DT = 0.004
+NOTHING = Scene.of()
+LETTER = {
+    'clearance_points': 'joints', 'clearance_smoothing': 0.0, 'influence_distance': np.inf,
+    'damping': 0.0, 'damping_threshold': 0.0, 'drift_gain': 0.0, 'safety_filter': False,
+    'clearance_margin': 0.0, 'position_margin': 0.0, 'k_w': 1.0}
+
+
+def drive(planner, q, twist, scene=NOTHING, seconds=1.0, dt=DT):
+    """Integrate the closed loop; return the postures and results of every tick."""
+    postures, results = [np.array(q, dtype=float)], []
+    for i in range(round(seconds / dt)):
+        now = twist(i * dt) if callable(twist) else twist
+        results.append(planner.step(postures[-1], now, scene, dt))
+        postures.append(postures[-1] + dt * results[-1].dq)
+    return np.array(postures), results
+
+
+def smallest_level(robot, postures, scene):
+    maps = whitening(scene, [c.radius for c in robot.capsules])
+    levels = []
+    for q in postures:
+        arm = robot.kinematics(q)
+        levels.append(link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min())
+    return min(levels)
+
+
+def test_equation_1_holds_term_by_term(robot):
+    """J q̇ = ẋ and J (k P∇H) = 0 for any gradient, where nothing is damped or filtered."""
+    obstacle = Scene.of([Obstacle('o', np.array([0.3, 0.2, 0.5]), np.full(3, 0.1))])
+    random = np.random.default_rng(0)
+    planner = Planner(robot, PlannerParameters(**LETTER, k_s=0.5, k_f=0.3))
+    for q in random_postures(robot, 20):
+        planner.reset()
+        twist = 0.1 * random.normal(size=6)
+        result = planner.step(q, twist, obstacle, DT)
+        jacobian = robot.kinematics(q).jacobian
+        np.testing.assert_allclose(jacobian @ result.dq, robot.task_rows(twist), atol=1e-9)
+        np.testing.assert_allclose(jacobian @ result.homogeneous, 0.0, atol=1e-10)
+        np.testing.assert_allclose(result.dq, result.least_norm + result.homogeneous)
+        # Eq. 2 bounds the homogeneous part by kα times the least-norm part.
+        assert (np.linalg.norm(result.homogeneous)
+                <= 0.8 * np.linalg.norm(result.least_norm) * (1 + 1e-9))
+
+
+@pytest.mark.parametrize(('gains', 'column', 'tolerance'), [
+    ({'method': 'gradient_projection', 'k_fixed': 6.2e-4, 'k_f': 0.0},
+     [0.1950, 0.1416, -0.1154, 0.3755, -0.6731, 0.9528], 0.003),
+    ({'k_alpha': 0.80969, 'k_s': 95.38, 'k_f': 7.924e4},
+     [0.1586, 0.09307, -0.1110, 0.3871, -0.598, 0.9956], 0.002),
+])
+def test_table_1_of_the_paper(paper_arm, gains, column, tolerance):
+    scene = Scene.of([Obstacle('o', np.array([0, 0.55, 0.45]), np.array([0.05, 0.03, 0.03]))])
+    planner = Planner(paper_arm, PlannerParameters(**{**LETTER, **gains}))
+    twist = np.array([-0.029, -0.05, 0.011 / 3.0, 0.0, 0.0, 0.0])
+    postures, _ = drive(planner, [0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0], twist, scene, 3.0,
+                        0.01)
+    np.testing.assert_allclose(postures[-1][:6], column, atol=tolerance)
+
+
+def test_whole_links_stay_clear_and_the_tip_on_its_line(paper_arm):
+    obstacle = Obstacle('o', np.array([0, 0.55, 0.45]), np.array([0.05, 0.03, 0.03]))
+    scene = Scene.of([obstacle])
+    twist = np.array([-0.029, -0.05, 0.011 / 3.0, 0.0, 0.0, 0.0])
+    start = np.array([0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0])
+    for method in ('dynamic_factor', 'gradient_projection'):
+        planner = Planner(paper_arm, PlannerParameters(method=method))
+        postures, results = drive(planner, start, twist, scene, 3.0)
+        assert smallest_level(paper_arm, postures, scene) > 0.0
+        first = paper_arm.kinematics(start).tip_position
+        for q in postures[::10]:
+            off = paper_arm.kinematics(q).tip_position - first
+            along = twist[:3] / np.linalg.norm(twist[:3])
+            assert np.linalg.norm(off - along * (off @ along)) < 1e-4
+        assert {r.stage for r in results} <= {Stage.DESIRED, Stage.SCALED}
+
+
+def test_without_the_filter_the_papers_links_pass_through(paper_arm):
+    # DESIGN §2.5: S ≈ −0.5 on the links while every joint has S > 5.
+    scene = Scene.of([Obstacle('o', np.array([0, 0.55, 0.45]), np.array([0.05, 0.03, 0.03]))])
+    column = np.array([0.1586, 0.09307, -0.1110, 0.3871, -0.598, 0.9956, 0.0])
+    level = smallest_level(paper_arm, [column], scene)
+    assert (level + 1.0) ** 2 - 1.0 == pytest.approx(-0.5, abs=0.06)
+
+
+@pytest.mark.parametrize('frame', ['base', 'tool'])
+def test_a_pure_rotation_leaves_the_tip_point_where_it_is(frame):
+    robot = make_panda(command_frame=frame)
+    planner = Planner(robot, PlannerParameters())
+    twist = np.array([0, 0, 0, 0, 0, 0.5])
+    postures, results = drive(planner, PANDA_READY, twist, seconds=3.0)
+    first = robot.kinematics(PANDA_READY)
+    tips = np.array([robot.kinematics(q).tip_position for q in postures])
+    assert np.linalg.norm(tips - first.tip_position, axis=1).max() < 5e-5
+    turned = sum(r.scale for r in results) * DT * 0.5
+    last = robot.kinematics(postures[-1]).tip_rotation
+    angle = np.arccos((np.trace(last @ first.tip_rotation.T) - 1.0) / 2.0)
+    assert angle == pytest.approx(turned, abs=1e-3)
+
+
+def test_feedback_takes_drift_back_and_open_loop_keeps_it(panda):
+    twist = np.array([0.05, 0.05, -0.03, 0.1, 0.0, 0.2])
+    errors = {}
+    for gain in (0.0, 5.0):
+        planner = Planner(panda, PlannerParameters(drift_gain=gain))
+        _, results = drive(planner, PANDA_READY, twist, seconds=4.0, dt=0.01)
+        errors[gain] = np.linalg.norm(results[-1].path_error[:3])
+    assert errors[5.0] < 0.2 * errors[0.0]
+    assert errors[5.0] < 1e-4
+
+
+def test_a_pushed_arm_comes_back_smoothly(panda):
+    planner = Planner(panda, PlannerParameters())
+    postures, _ = drive(planner, PANDA_READY, np.zeros(6), seconds=0.1)
+    moved = postures[-1] + 0.02
+    postures, results = drive(planner, moved, np.zeros(6), seconds=3.0)
+    errors = [np.linalg.norm(r.path_error) for r in results]
+    assert errors[-1] < 0.01 * errors[0]
+    speeds = np.diff([r.dq for r in results], axis=0, prepend=np.zeros((1, 7)))
+    assert (np.abs(speeds) <= panda.acceleration_max * DT + 1e-9).all()
+
+
+def test_position_only_control_leaves_orientation_free():
+    robot = make_panda(axes=AXES[:3])
+    planner = Planner(robot, PlannerParameters())
+    twist = np.array([0.05, 0.0, 0.0, 9.0, 9.0, 9.0])  # rotation is not controlled: no effect
+    postures, results = drive(planner, PANDA_READY, twist, seconds=2.0)
+    moved = (robot.kinematics(postures[-1]).tip_position
+             - robot.kinematics(PANDA_READY).tip_position)
+    travelled = 0.05 * DT * sum(r.scale for r in results)
+    np.testing.assert_allclose(moved, [travelled, 0.0, 0.0], atol=1e-4)
+
+
+def test_joint_weights_move_the_motion_to_the_cheap_joints(paper_arm):
+    twist = np.array([0.0, 0.05, 0.05, 0.0, 0.0, 0.0])
+    start = np.array([0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0])
+    paths = []
+    for weight in (1.0, 100.0):
+        planner = Planner(paper_arm, PlannerParameters(joint_weights=(weight, weight, *[1.0] * 5)))
+        postures, _ = drive(planner, start, twist)
+        paths.append(np.abs(np.diff(postures[:, :2], axis=0)).sum())
+    assert paths[1] < 0.25 * paths[0]
+
+
+def test_too_fast_a_command_is_slowed_in_its_own_direction(panda):
+    slow, fast = (Planner(panda, PlannerParameters(linear_speed_max=0.1)) for _ in range(2))
+    direction = np.array([0.06, 0.08, 0.0, 0.0, 0.0, 0.0])
+    a, _ = drive(slow, PANDA_READY, direction)
+    b, _ = drive(fast, PANDA_READY, 1e200 * direction)
+    np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.floats(-3.0, 300.0), st.integers(0, 8))
+def test_limits_hold_whatever_comes(seed, magnitude, obstacles):
+    """Random states, absurd commands, obstacles anywhere, some of them inside the arm."""
+    random = np.random.default_rng(seed)
+    robot = ARM[seed % len(ARM)]
+    scene = Scene.of([
+        Obstacle(f'o{i}', random.uniform(-0.6, 0.6, 3), random.uniform(0.01, 0.3, 3),
+                 velocity=random.normal(size=3)) for i in range(obstacles)])
+    planner = Planner(robot, PlannerParameters())
+    q = random_postures(robot, 1, seed)[0]
+    previous = np.zeros(robot.n)
+    for _ in range(15):
+        twist = np.clip(random.normal(size=6) * 10.0**magnitude, -1e300, 1e300)
+        result = planner.step(q, twist, scene, DT)
+        assert np.isfinite(result.dq).all()
+        assert (np.abs(result.dq) <= robot.velocity_max + 1e-9).all()
+        assert (np.abs(result.dq - previous) <= robot.acceleration_max * DT + 1e-9).all()
+        previous, q = result.dq, q + DT * result.dq
+        assert (q <= robot.position_max + 1e-9).all() and (q >= robot.position_min - 1e-9).all()
+
+
+ARM = [make_paper_arm(), make_panda(), make_planar(), make_panda(command_frame='tool')]
+
+
+def test_every_tick_can_be_replayed(panda):
+    scene = Scene.of([Obstacle('o', np.array([0.4, 0.1, 0.5]), np.full(3, 0.08))])
+    runs = [drive(Planner(panda, PlannerParameters()), PANDA_READY,
+                  lambda t: np.array([0.1 * np.sin(t), 0.1, 0, 0, 0, 0.2]), scene)[0]
+            for _ in range(2)]
+    np.testing.assert_array_equal(*runs)
+
+
+def test_arguments_are_not_changed(panda):
+    q, twist = PANDA_READY.copy(), np.ones(6) * 50.0
+    Planner(panda, PlannerParameters()).step(q, twist, NOTHING, DT)
+    np.testing.assert_array_equal(q, PANDA_READY)
+    np.testing.assert_array_equal(twist, 50.0)
+
+
+def test_what_slows_the_arm_is_named(paper_arm):
+    # Up against d1's upper limit with everything else costly.
+    planner = Planner(paper_arm, PlannerParameters())
+    start = np.array([0.35, 0.1, 0, 0.5233, -0.5233, 1.0467, 0])
+    _, results = drive(planner, start, np.array([0.0, 0.0, 0.3, 0, 0, 0]), seconds=6.0)
+    stopped = [r for r in results if r.scale < 0.5 and r.reason]
+    assert stopped and "joint 'd1' at its limit" in stopped[-1].reason
+
+
+@pytest.mark.parametrize(('twist', 'dt', 'message'), [
+    (np.zeros(5), DT, 'six finite numbers'), (np.full(6, np.nan), DT, 'six finite numbers'),
+    (np.zeros(6), 0.0, 'dt is 0.0'), (np.zeros(6), np.nan, 'dt is nan')])
+def test_bad_input_is_refused_and_changes_nothing(panda, twist, dt, message):
+    planner, twin = (Planner(panda, PlannerParameters()) for _ in range(2))
+    with pytest.raises(StateError, match=message):
+        planner.step(PANDA_READY, twist, NOTHING, dt)
+    good = np.array([0.1, 0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(planner.step(PANDA_READY, good, NOTHING, DT).dq,
+                                  twin.step(PANDA_READY, good, NOTHING, DT).dq)
+
+
+def test_parameters_that_do_not_fit_the_robot_are_refused(panda):
+    with pytest.raises(ParameterError, match=r"'joint_weights' has 2 entries; it takes 7"):
+        Planner(panda, PlannerParameters(joint_weights=(1.0, 2.0)))
+    with pytest.raises(ParameterError, match=r"'position_margin' is 0.5; joint 'd1' has no"):
+        Planner(make_paper_arm(), PlannerParameters(position_margin=0.5))

@@ -1,0 +1,241 @@
+"""Real processes talking over real topics."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+from conftest import make_panda, make_paper_arm, PANDA_READY, PANDA_URDF, ROBOTS
+from live_helpers import PATIENCE, run_node, station
+import numpy as np
+import pinocchio as pin
+import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+
+from redundant_planner.analysis.demo import summarise
+from redundant_planner.analysis.live import play
+from redundant_planner.analysis.recording import read_recording
+from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.nodes.messages import markers_of
+from redundant_planner.resources import share_directory
+from redundant_planner.scenario import load_scenario
+
+PAPER = share_directory() / 'config' / 'scenarios' / 'paper.yaml'
+PAPER_START = {'d1': 0.1, 'd2': 0.1, 'theta4': 0.5233, 'theta5': -0.5233, 'theta6': 1.0467}
+
+
+def paper_arm_values():
+    return {'initial_joints': list(PAPER_START), 'initial_positions': list(PAPER_START.values())}
+
+
+def panda_values():
+    names = [f'panda_joint{i}' for i in range(1, 8)]
+    return {'urdf': PANDA_URDF, 'initial_joints': names,
+            'initial_positions': PANDA_READY.tolist()}
+
+
+def test_the_papers_motion_live(tmp_path):
+    """The tip keeps within 1 mm of its line while whole links clear the ellipsoid."""
+    scenario = load_scenario(PAPER)
+    run = play(scenario, PAPER, tmp_path / 'bag', domain_id=101)
+    recording = read_recording(run.bag)
+    robot = scenario.load_robot()
+    summary = summarise(robot, recording)
+    assert summary.path_error < 1e-3
+    assert summary.clearance.level > 0.0 and summary.clearance.obstacle == 'ellipsoid'
+    moved = (robot.kinematics(summary.states.positions[-1]).tip_position
+             - robot.kinematics(summary.states.positions[0]).tip_position)
+    np.testing.assert_allclose(moved, [-0.087, -0.150, 0.011], atol=2e-3)
+    assert recording.robot_description.lstrip().startswith('<?xml')
+    assert summary.periods.median == pytest.approx(0.004, rel=0.05)
+
+
+def test_a_panda_follows_a_typed_twist_for_ten_seconds():
+    robot = make_panda()
+    with station() as (ros, processes):
+        processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], panda_values())
+        processes.start('planner_node', [ROBOTS / 'panda.yaml'], {'urdf': PANDA_URDF})
+        ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
+        ros.wait_for(lambda: 'panda_finger_joint1' in ros.states[-1].name, 'the fingers')
+        before = robot.kinematics(ros.state(robot.joint_names))
+        twist = np.array([0.01, 0.012, -0.008, 0.0, 0.0, 0.02])
+        ros.drive(twist, 10.0, rate=20.0)
+        ros.wait_for(ros.at_rest, 'rest')
+        ros.states.clear()
+        ros.wait_for(lambda: ros.states)
+        after = robot.kinematics(ros.state(robot.joint_names))
+        moved = after.tip_position - before.tip_position
+        direction = twist[:3] / np.linalg.norm(twist[:3])
+        travelled = moved @ direction
+        # Ten seconds, the command's timeout and the stop; off the line by less than 0.5 mm.
+        assert travelled == pytest.approx(10.0 * np.linalg.norm(twist[:3]), rel=0.03)
+        assert np.linalg.norm(moved - travelled * direction) < 5e-4
+        # The rotation that belongs to the distance travelled, to 0.1°.
+        angle = pin.log3(after.tip_rotation @ before.tip_rotation.T)
+        expected = twist[3:] * travelled / np.linalg.norm(twist[:3])
+        assert np.linalg.norm(angle - expected) < np.radians(0.1)
+
+
+def test_nothing_is_said_before_a_state_and_bad_input_hurts_nobody():
+    """NaN twists, broken joint states and impossible obstacles: the good ones go on counting."""
+    robot = make_paper_arm()
+    start = [PAPER_START.get(name, 0.0) for name in robot.joint_names]
+    names = list(robot.joint_names)
+    with station() as (ros, processes):
+        planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
+        ros.wait_for(lambda: ros.joint_states.get_subscription_count() > 1
+                     and ros.twist.get_subscription_count(), 'planner')
+        for bad in (JointState(name=names[:-1], position=start[:-1]),
+                    JointState(name=names, position=start[:-1]),
+                    JointState(name=names[:-1] + ['d1'], position=start),
+                    JointState(name=names, position=[np.nan] * 7)):
+            ros.joint_states.publish(bad)
+        ros.drive(np.zeros(6), 0.5)
+        assert not ros.commands
+
+        good = JointState(name=names, position=start)
+
+        def hold(seconds, twist):
+            begin = time.monotonic()
+            while time.monotonic() - begin < seconds:
+                ros.joint_states.publish(good)
+                ros.drive(twist, 0.01)
+
+        hold(0.5, np.zeros(6))
+        assert ros.commands and not np.any(ros.commands[-1].velocity)
+        assert list(ros.commands[-1].name) == names
+        np.testing.assert_allclose(ros.commands[-1].position, start, atol=1e-9)
+
+        bad = markers_of([Obstacle('o', np.zeros(3), np.ones(3))], 'nowhere')
+        flat = markers_of([Obstacle('o', np.zeros(3), np.ones(3))], 'base_link')
+        flat.markers[0].scale.x = 0.0
+        ros.obstacles.publish(bad)
+        ros.obstacles.publish(flat)
+        hold(0.3, np.array([np.nan, 0, 0, 0, 0, 0]))
+        assert not np.any(ros.commands[-1].velocity)
+        hold(0.3, np.array([0.0, 0.02, 0, 0, 0, 0]))
+        assert np.any(ros.commands[-1].velocity)
+
+        # No more commands: zero after the timeout. No more states: silence, then life again.
+        hold(0.4, np.array([np.inf, 0, 0, 0, 0, 0]))
+        assert not np.any(ros.commands[-1].velocity)
+        ros.drive(np.array([0.0, 0.02, 0, 0, 0, 0]), 0.3)
+        ros.commands.clear()
+        ros.drive(np.zeros(6), 0.3)
+        assert not ros.commands
+        hold(0.2, np.array([0.0, 0.02, 0, 0, 0, 0]))
+        assert np.any(ros.commands[-1].velocity)
+        assert planner.poll() is None
+
+
+def test_an_interrupt_in_motion_ends_in_a_stop_and_a_clean_exit():
+    with station() as (ros, processes):
+        processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
+        planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
+        ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
+        ros.drive(np.array([0.0, -0.03, 0, 0, 0, 0]), 0.5)
+        assert np.any(ros.commands[-1].velocity)
+        planner.send_signal(signal.SIGINT)
+        ros.wait_for(lambda: planner.poll() is not None, 'exit', 10.0)
+        ros.drive(np.zeros(6), 0.2)
+        assert planner.returncode == 0
+        assert not np.any(ros.commands[-1].velocity)
+        assert not np.any(ros.states[-1].velocity)
+
+
+def test_the_fake_arm_keeps_its_limits_and_refuses_strangers():
+    with station() as (ros, processes):
+        arm = processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'],
+                              {**paper_arm_values(), 'noise': 0.0})
+        ros.wait_for(lambda: ros.states and ros.joint_command.get_subscription_count() > 1)
+        begin = ros.state(['d1', 'd2'])
+        for bad in (JointState(name=['nose'], velocity=[1.0]),
+                    JointState(name=['d1'], velocity=[np.nan]),
+                    JointState(name=['d1', 'd2'], velocity=[1.0])):
+            ros.joint_command.publish(bad)
+        ros.drive(np.zeros(6), 0.2)
+        np.testing.assert_array_equal(ros.state(['d1', 'd2']), begin)
+        deadline = time.monotonic() + PATIENCE
+        while ros.state(['d1'])[0] < 0.4 and time.monotonic() < deadline:
+            ros.joint_command.publish(JointState(name=['d1'], velocity=[100.0]))
+            ros.drive(np.zeros(6), 0.01)
+        assert all(m.position[0] <= 0.4 for m in ros.states)
+        assert ros.state(['d1'])[0] == 0.4
+        assert arm.poll() is None
+
+
+def set_parameter(ros, name, value):
+    client = ros.node.create_client(SetParameters, '/planner_node/set_parameters')
+    ros.wait_for(client.service_is_ready, 'parameter service')
+    future = client.call_async(SetParameters.Request(
+        parameters=[Parameter(name, value=value).to_parameter_msg()]))
+    ros.wait_for(future.done, 'an answer')
+    return future.result().results[0]
+
+
+def test_parameters_change_while_running_or_are_refused_with_the_reason():
+    with station() as (ros, processes):
+        processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
+        planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
+        ros.wait_for(lambda: ros.commands, 'start')
+        assert set_parameter(ros, 'linear_speed_max', 0.01).successful
+        assert set_parameter(ros, 'k_alpha', 1).successful
+        for name, value, reason in (
+                ('k_alpha', -1.0, 'it must lie in'), ('k_alpha', 'much', 'must be a number'),
+                ('method', 'magic', 'it must be one of'), ('rate', 100, 'rate'),
+                ('tip_frame', 'nose', 'tip_frame'), ('position_margin', 0.45, "joint 'd1'")):
+            result = set_parameter(ros, name, value)
+            assert not result.successful and reason in result.reason, (name, result.reason)
+        ros.drive(np.array([0.0, -0.1, 0, 0, 0, 0]), 1.0)
+        robot = make_paper_arm()
+        velocity = robot.kinematics(ros.state(robot.joint_names)).jacobian @ np.array(
+            ros.commands[-1].velocity)
+        assert np.linalg.norm(velocity) == pytest.approx(0.01, rel=0.05)
+        assert planner.poll() is None
+
+
+def test_the_urdf_may_come_by_topic():
+    with station() as (ros, processes):
+        processes.start('planner_node', values={'tip_frame': 'tool_tip',
+                                                'axes': ['vx', 'vy', 'vz']})
+        processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
+        ros.wait_for(lambda: ros.commands, 'a command after robot_description')
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    ([], "'urdf' is empty"),
+    (['-p', 'urdf:=/no/such.urdf'], "'/no/such.urdf' is not a file"),
+    (['-p', 'initial_joints:=[nose]', '-p', 'initial_positions:=[1.0]', '-p',
+      f'urdf:={ROBOTS}/paper_2p5r.urdf'], "unknown joint 'nose'"),
+    (['-p', 'initial_joints:=[d1]', '-p', f'urdf:={ROBOTS}/paper_2p5r.urdf'],
+     "'initial_positions' has 0 entries; it takes 1"),
+])
+def test_the_fake_arm_ends_with_one_readable_line(arguments, message):
+    status, text = run_node('fake_hardware_node', *arguments)
+    assert status == 2 and message in text and 'Traceback' not in text, text
+
+
+FILE = ['--params-file', str(ROBOTS / 'paper_2p5r.yaml')]
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (['-p', f'urdf:={ROBOTS}/paper_2p5r.urdf'], "'tip_frame' is empty"),
+    ([*FILE, '-p', 'tip_frame:=nose'], "tip_frame 'nose' is not in the URDF"),
+    ([*FILE, '-p', 'urdf:=/no/such.urdf'], "'/no/such.urdf' is not a file"),
+    ([*FILE, '-p', f'urdf:={ROBOTS}/panda.yaml'], 'the URDF is not well-formed XML'),
+    ([*FILE, '-p', 'rate:=5000'], "'rate' is 5000; it must lie in [1, 1000] Hz"),
+    ([*FILE, '-p', 'rate:=fast'], "'rate' is 'fast'; it must be a whole number"),
+    ([*FILE, '-p', 'axes:=[vx, up]'], "'axes' is 'up'; it must be one of"),
+    ([*FILE, '-p', 'joint_weights:=[1.0]'], "'joint_weights' has 1 entries; it takes 7"),
+    ([*FILE, '-p', 'static_obstacles:=[o]'], "obstacle 'o' lacks 'center'"),
+    ([*FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0]'],
+     "'static_obstacle.o.center' is [0.0, 0.0]; it takes 3 numbers"),
+    ([*FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0, 1.0]',
+      '-p', 'static_obstacle.o.semi_axes:=[0.1, 0.0, 1.0]'], 'all three must be positive'),
+    (['--params-file', '/no/such.yaml'], '/no/such.yaml'),
+])
+def test_the_planner_ends_with_one_readable_line(arguments, message):
+    status, text = run_node('planner_node', *arguments)
+    assert status == 2 and message in text and 'Traceback' not in text, text
