@@ -11,8 +11,8 @@ SHARE = f'share/{PACKAGE}'
 JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'rich>=13']
 TEST = [
-    'colcon-bash', 'colcon-core', 'colcon-python-setup-py', 'colcon-ros', 'example-robot-data',
-    'hypothesis', 'mypy', 'pytest', 'ruff', 'types-PyYAML',
+    'colcon-bash', 'colcon-core', 'colcon-package-information', 'colcon-python-setup-py',
+    'colcon-ros', 'example-robot-data', 'hypothesis', 'mypy', 'pytest', 'ruff', 'types-PyYAML',
 ]
 
 setup(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 import shutil
+import signal
 import sys
 from typing import NamedTuple
 
@@ -112,6 +113,8 @@ def main(args: list[str] | None = None) -> int:
                         help='folder for the bag and the picture (default: %(default)s)')
     options = parser.parse_args(args)
     console = Console()
+    # Ended politely, it cleans up as it does after Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         path = resolve(options.scenario)
         scenario = load_scenario(path)

@@ -35,7 +35,7 @@ _TOPICS = {
     'robot_description': (String, 'std_msgs/msg/String'),
 }
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
-# How long processes get to start, and to end after an interrupt [s].
+# How long processes get to start, and to end [s].
 _START_PATIENCE = 30.0
 _END_PATIENCE = 3.0
 
@@ -65,10 +65,13 @@ class Processes:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End every child: interrupt, and kill what does not react."""
+        """End every child, and kill what does not react.
+
+        SIGTERM and not SIGINT: a child still importing dies of it without a word.
+        """
         for child in self._children.values():
             if child.poll() is None:
-                child.send_signal(signal.SIGINT)
+                child.terminate()
         deadline = time.monotonic() + _END_PATIENCE
         for child in self._children.values():
             try:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.serde import SerdeError
 from rosbags.typesys import get_typestore, Stores
 
 from redundant_planner.core.errors import ObstacleError, PlannerError
@@ -136,7 +137,7 @@ def read_recording(path: Path) -> Recording:
                 if topic not in ('joint_states', 'joint_command', 'cmd_vel', 'obstacles',
                                  'robot_description'):
                     continue
-                message: Any = reader.deserialize(raw, connection.msgtype)
+                message = _decoded(reader, raw, connection.msgtype)
                 if topic in joints:
                     stamp = message.header.stamp
                     joints[topic].append((
@@ -151,11 +152,19 @@ def read_recording(path: Path) -> Recording:
                     _apply_markers(message, obstacles)
                 else:
                     description = message.data
-    except (AnyReaderError, OSError) as error:
+    except (AnyReaderError, SerdeError, OSError) as error:
         raise RecordingError(f"'{path}' is not a readable bag: {error}") from None
     logs = {topic: _joint_log(path, topic, rows) for topic, rows in joints.items()}
     return Recording(logs['joint_states'], logs['joint_command'], np.array(twist_times),
                      np.array(twists).reshape(-1, 6), tuple(obstacles.values()), description)
+
+
+def _decoded(reader: AnyReader, raw: bytes, message_type: str) -> Any:
+    """Decode a message; rclpy's serialize_message pads a trailing empty list by four bytes."""
+    try:
+        return reader.deserialize(raw, message_type)
+    except SerdeError:
+        return reader.deserialize(raw[:-4], message_type)
 
 
 def _joint_log(

@@ -75,6 +75,17 @@ def displaced(pose: Pose, error: Array, command_frame: str) -> Pose:
     return Pose(pose.position + displacement, turned)
 
 
+def bounded(error: Array, distance: float, angle: float) -> Array:
+    """Return the error (6,) with its linear and angular parts no longer than the caps.
+
+    Args:
+        error: (6,) from `pose_error` [m, rad].
+        distance: cap of the linear part [m].
+        angle: cap of the angular part [rad].
+    """
+    return _capped(error, distance, angle)
+
+
 def feedback(error: Array, gain: float, speed: float, angular_speed: float) -> Array:
     """Return the twist (6,) that takes the error back at `gain`, never faster than the caps.
 
@@ -84,9 +95,13 @@ def feedback(error: Array, gain: float, speed: float, angular_speed: float) -> A
         speed: cap of the linear part [m/s].
         angular_speed: cap of the angular part [rad/s].
     """
-    twist = gain * error
-    for part, cap in ((twist[:3], speed), (twist[3:], angular_speed)):
+    return _capped(gain * error, speed, angular_speed)
+
+
+def _capped(vector: Array, linear: float, angular: float) -> Array:
+    result = vector.copy()
+    for part, cap in ((result[:3], linear), (result[3:], angular)):
         size = float(np.sqrt(part @ part))
         if size > cap:
             part *= cap / size
-    return twist
+    return result

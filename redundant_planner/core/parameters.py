@@ -168,6 +168,13 @@ class PlannerParameters:
     drift_angular_speed: float = parameter(
         0.5, low=0.0, unit='rad/s', runtime=True,
         description='Largest speed at which an orientation error is taken back.')
+    drift_distance: float = parameter(
+        0.1, low=0.0, unit='m', runtime=True,
+        description='Larger position errors are forgotten: an arm that was held back or pushed '
+                    'further away than this does not come all the way back by itself.')
+    drift_angle: float = parameter(
+        0.5, low=0.0, high=3.0, unit='rad', runtime=True,
+        description='Larger orientation errors are forgotten, as drift_distance.')
     linear_speed_max: float = parameter(
         1.0, low=1e-3, high=100.0, unit='m/s', runtime=True,
         description='A faster commanded twist is slowed to this, its direction kept.')

@@ -28,6 +28,9 @@ from redundant_planner.core.robot import Kinematics, Robot
 
 Array = npt.NDArray[np.float64]
 
+# An arm that is not commanded and this close to where it should be is left in peace [m, rad].
+_AT_REST = 1e-5
+
 
 class Nearest(NamedTuple):
     """The link and obstacle with the smallest level value.
@@ -153,6 +156,8 @@ class Planner:
         pose = Pose(arm.tip_position, arm.tip_rotation)
         error = self._path_error(pose)
         correction = drift.feedback(error, p.drift_gain, p.drift_speed, p.drift_angular_speed)
+        if not command.any() and float(np.abs(error).max()) < _AT_REST:
+            correction = np.zeros(6)
         task = robot.task_rows(command + correction)
 
         # J⁺ẋ, in coordinates in which every joint costs the same.
@@ -212,7 +217,8 @@ class Planner:
             return np.zeros(6)
         error = drift.pose_error(self._reference, pose, self.robot.command_frame)
         error[~self._controlled] = 0.0
-        return error
+        return drift.bounded(
+            error, self._parameters.drift_distance, self._parameters.drift_angle)
 
     def _clearances(self, arm: Kinematics, scene: Scene) -> tuple[Whitening, Pairs]:
         """Return every link × every obstacle; links carry the clearance margin."""

@@ -6,7 +6,10 @@ from conftest import central_difference, random_postures
 import numpy as np
 
 from redundant_planner.core.jacobian import (
-    jacobian_derivative, jacobian_derivative_times, tool_derivative_times)
+    jacobian_derivative,
+    jacobian_derivative_times,
+    tool_derivative_times,
+)
 
 
 def test_tensor_matches_finite_differences(robot):

@@ -10,8 +10,14 @@ import pytest
 
 from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.obstacles import (
-    clearance_gradients, inflated_semi_axes, link_clearance, Obstacle, pseudo_distance, Scene,
-    whitening)
+    clearance_gradients,
+    inflated_semi_axes,
+    link_clearance,
+    Obstacle,
+    pseudo_distance,
+    Scene,
+    whitening,
+)
 
 coordinates = st.floats(-2.0, 2.0)
 points = arrays(float, 3, elements=coordinates)

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from conftest import (
-    central_difference, LENGTHS, make_panda, make_planar, PANDA_READY, PANDA_URDF, planar_urdf,
-    random_postures)
+    central_difference,
+    LENGTHS,
+    make_panda,
+    make_planar,
+    PANDA_READY,
+    PANDA_URDF,
+    planar_urdf,
+    random_postures,
+)
 import numpy as np
 import pinocchio as pin
 import pytest

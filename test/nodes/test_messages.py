@@ -12,7 +12,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.nodes.messages import (
-    markers_of, positions_from_message, twist_from_message, twist_to_message)
+    markers_of,
+    positions_from_message,
+    twist_from_message,
+    twist_to_message,
+)
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 
 NAMES = ('a', 'b', 'c')
