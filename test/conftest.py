@@ -33,8 +33,9 @@ def planar_urdf(kinds=('revolute', 'revolute', 'continuous'), lengths=LENGTHS) -
             f'<parent link="{parent}"/><child link="link{i}"/><origin xyz="{offset} 0 0"/>'
             f'<axis xyz="0 0 1"/>{limit}</joint>')
         parent, offset = f'link{i}', length
-    parts.append(f'<link name="tip"/><joint name="tip_joint" type="fixed"><parent link="{parent}"/>'
-                 f'<child link="tip"/><origin xyz="{offset} 0 0"/></joint></robot>')
+    parts.append('<link name="tip"/><joint name="tip_joint" type="fixed">'
+                 f'<parent link="{parent}"/><child link="tip"/>'
+                 f'<origin xyz="{offset} 0 0"/></joint></robot>')
     return ''.join(parts)
 
 

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.serde import SerdeError
 from rosbags.typesys import get_typestore, Stores
 
 from redundant_planner.core.errors import ObstacleError, PlannerError
@@ -152,7 +151,7 @@ def read_recording(path: Path) -> Recording:
                     _apply_markers(message, obstacles)
                 else:
                     description = message.data
-    except (AnyReaderError, SerdeError, OSError) as error:
+    except (AnyReaderError, OSError) as error:
         raise RecordingError(f"'{path}' is not a readable bag: {error}") from None
     logs = {topic: _joint_log(path, topic, rows) for topic, rows in joints.items()}
     return Recording(logs['joint_states'], logs['joint_command'], np.array(twist_times),
@@ -163,7 +162,7 @@ def _decoded(reader: AnyReader, raw: bytes, message_type: str) -> Any:
     """Decode a message; rclpy's serialize_message pads a trailing empty list by four bytes."""
     try:
         return reader.deserialize(raw, message_type)
-    except SerdeError:
+    except AnyReaderError:
         return reader.deserialize(raw[:-4], message_type)
 
 

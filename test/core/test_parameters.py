@@ -21,7 +21,8 @@ CHANGES = {
     'k_f': 30.0, 'clearance_points': 'joints', 'clearance_smoothing': 5.0,
     'influence_distance': 0.08, 'damping': 1.0, 'damping_threshold': 0.0,
     'joint_weights': (5.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), 'drift_gain': 1.0,
-    'drift_distance': 0.001, 'drift_angle': 0.001, 'drift_speed': 0.001, 'drift_angular_speed': 0.001, 'linear_speed_max': 0.1,
+    'drift_distance': 0.001, 'drift_angle': 0.001, 'drift_speed': 0.001,
+    'drift_angular_speed': 0.001, 'linear_speed_max': 0.1,
     'angular_speed_max': 0.1, 'safety_filter': False, 'position_margin': 0.0,
     'clearance_margin': 0.05, 'barrier_gain': 0.5,
 }

@@ -69,10 +69,9 @@ def test_the_arm_always_stops_before_its_limits(seed):
     random = np.random.default_rng(seed)
     q, dq = random.uniform(-1.0, 1.0, N), np.zeros(N)
     jacobian = random.normal(size=(3, N))
+    twists = [*(random.normal(size=(4, 3)) * 3.0), np.zeros(3)]
     for tick in range(300):
-        twist = random.normal(size=3) * 3.0 if tick % 60 == 0 and tick < 240 else twist
-        if tick >= 240:
-            twist = np.zeros(3)
+        twist = twists[tick // 60]
         desired = np.linalg.pinv(jacobian) @ twist
         result = filtered(desired, jacobian, twist, q, dq)
         assert result.stage is not Stage.STOPPED and result.stage is not Stage.FORCED

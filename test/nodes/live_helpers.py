@@ -13,13 +13,13 @@ from geometry_msgs.msg import Twist
 import numpy as np
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.analysis.live import Processes
 from redundant_planner.nodes.messages import twist_to_message
+from redundant_planner.nodes.process import best_executor
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 PATIENCE = 30.0
@@ -77,7 +77,7 @@ def station():
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = Node('station', context=context)
-    executor = SingleThreadedExecutor(context=context)
+    executor = best_executor(context)
     executor.add_node(node)
     try:
         with Processes(domain) as processes:

@@ -58,7 +58,7 @@ def test_a_panda_follows_a_typed_twist_for_ten_seconds():
         processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], panda_values())
         processes.start('planner_node', [ROBOTS / 'panda.yaml'], {'urdf': PANDA_URDF})
         ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
-        ros.wait_for(lambda: 'panda_finger_joint1' in ros.states[-1].name, 'the fingers')
+        ros.wait_for(lambda: ros.states and 'panda_finger_joint1' in ros.states[-1].name, 'arm')
         before = robot.kinematics(ros.state(robot.joint_names))
         twist = np.array([0.01, 0.012, -0.008, 0.0, 0.0, 0.02])
         ros.drive(twist, 10.0, rate=20.0)
