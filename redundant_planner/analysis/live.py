@@ -24,7 +24,7 @@ from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.analysis.recording import BagWriter
 from redundant_planner.core.errors import PlannerError
-from redundant_planner.nodes.process import best_executor
+from redundant_planner.nodes.process import best_executor, keep_off_shared_memory
 from redundant_planner.scenario import Scenario
 
 _TOPICS = {
@@ -168,6 +168,7 @@ def play(
     if 'urdf' in values:
         arm['urdf'] = values['urdf']
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    keep_off_shared_memory()
     context = Context()
     rclpy.init(context=context, domain_id=domain_id)
     try:
@@ -193,7 +194,7 @@ def play(
             spin_until(lambda: 'joint_command' in seen, _START_PATIENCE,
                        'no joint_command was published')
             player = processes.start(
-                'scenario_player', values={'scenario': scenario_file, **(
+                'scenario_player', values={'scenario': scenario_file, 'subscribers': 2, **(
                     {'urdf': values['urdf']} if 'urdf' in values else {})})
             spin_until(lambda: 'cmd_vel' in seen, _START_PATIENCE, 'no cmd_vel was published')
             begin, used = time.monotonic(), cpu_seconds(planner.pid)

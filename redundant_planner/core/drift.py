@@ -7,6 +7,7 @@ on SE(3) instead, and the error of the measured pose against it is fed back into
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -101,7 +102,7 @@ def feedback(error: Array, gain: float, speed: float, angular_speed: float) -> A
 def _capped(vector: Array, linear: float, angular: float) -> Array:
     result = vector.copy()
     for part, cap in ((result[:3], linear), (result[3:], angular)):
-        size = float(np.sqrt(part @ part))
+        size = math.sqrt(part @ part)
         if size > cap:
             part *= cap / size
     return result

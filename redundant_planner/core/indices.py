@@ -76,7 +76,7 @@ def clearance_index(
         weights, value = np.ones(1), lowest
     if np.isfinite(influence_distance):
         # ρ times the smallest semi-axis never exceeds the distance to the surface.
-        distance = (pairs.clearance / maps.scales.max(axis=-1))[links, obstacles]
+        distance = pairs.clearance[links, obstacles] / maps.steepest[links, obstacles]
         weights = weights * _fade(distance / influence_distance)
     acting = weights > 0.0
     if not acting.any():

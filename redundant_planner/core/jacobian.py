@@ -71,6 +71,8 @@ def tool_derivative_times(jacobian: Array, rotation: Array, dq: Array) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     """Column-wise cross product of two (3, n) arrays."""
-    return np.array([a[1] * b[2] - a[2] * b[1],
-                     a[2] * b[0] - a[0] * b[2],
-                     a[0] * b[1] - a[1] * b[0]])
+    result = np.empty(a.shape)
+    result[0] = a[1] * b[2] - a[2] * b[1]
+    result[1] = a[2] * b[0] - a[0] * b[2]
+    result[2] = a[0] * b[1] - a[1] * b[0]
+    return result

@@ -139,13 +139,17 @@ class Whitening(NamedTuple):
         axes: (k, 3, 3) rotation into the ellipsoid's axes, Rᵀ.
         offsets: (k, 3) Rᵀ c [m].
         scales: (c, k, 3) 1 / inflated semi-axes, one row per link radius [1/m].
+        steepest: (c, k) the largest of `scales`, 1 / smallest inflated semi-axis [1/m].
         velocities: (k, 3) obstacle velocities in the base frame [m/s].
+        speeds: (k,) their size [m/s].
     """
 
     axes: Array
     offsets: Array
     scales: Array
+    steepest: Array
     velocities: Array
+    speeds: Array
 
 
 def whitening(scene: Scene, radii: npt.ArrayLike) -> Whitening:
@@ -154,7 +158,9 @@ def whitening(scene: Scene, radii: npt.ArrayLike) -> Whitening:
     offsets = (axes @ scene.centers[:, :, None])[:, :, 0]
     radii = np.asarray(radii, dtype=float)
     inflated = inflated_semi_axes(scene.semi_axes[None], radii[:, None])
-    return Whitening(axes, offsets, 1.0 / inflated, scene.velocities)
+    scales = 1.0 / inflated
+    return Whitening(axes, offsets, scales, scales.max(axis=-1), scene.velocities,
+                     np.sqrt(np.square(scene.velocities).sum(axis=-1)))
 
 
 class Pairs(NamedTuple):
@@ -222,15 +228,17 @@ def clearance_gradients(
     """
     y = pairs.whitened[links, obstacles]
     # In an ellipsoid's very centre every direction is as good: the guard leaves a zero gradient.
-    normal = y / np.maximum(pairs.clearance[links, obstacles] + 1.0, 1e-9)[:, None]
-    scaled = (normal * maps.scales[links, obstacles])[:, None, :]
-    slope = (scaled @ maps.axes[obstacles])[:, 0]
-    t = pairs.parameter[links, obstacles][:, None]
-    point = start[links] + t * (end[links] - start[links])
-    moment = np.empty_like(slope)
-    moment[:, 0] = point[:, 1] * slope[:, 2] - point[:, 2] * slope[:, 1]
-    moment[:, 1] = point[:, 2] * slope[:, 0] - point[:, 0] * slope[:, 2]
-    moment[:, 2] = point[:, 0] * slope[:, 1] - point[:, 1] * slope[:, 0]
-    gradient = np.hstack((slope, moment)) @ columns
-    gradient *= np.arange(columns.shape[1]) < joint_count[links][:, None]
+    length = np.maximum(pairs.clearance[links, obstacles] + 1.0, 1e-9)
+    scaled = y / length[:, None] * maps.scales[links, obstacles]
+    slope = (scaled[:, None, :] @ maps.axes[obstacles])[:, 0]
+    first = start[links]
+    point = first + pairs.parameter[links, obstacles][:, None] * (end[links] - first)
+    wrench = np.empty((len(y), 6))
+    wrench[:, :3] = slope
+    x, f = point.T, slope.T
+    wrench[:, 3] = x[1] * f[2] - x[2] * f[1]
+    wrench[:, 4] = x[2] * f[0] - x[0] * f[2]
+    wrench[:, 5] = x[0] * f[1] - x[1] * f[0]
+    gradient = wrench @ columns
+    gradient[np.arange(columns.shape[1]) >= joint_count[links][:, None]] = 0.0
     return gradient, -(slope * maps.velocities[obstacles]).sum(axis=-1)

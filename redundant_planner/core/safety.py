@@ -223,8 +223,9 @@ def _solve(
     size = n + 1 + (coasting is not None) + slack
     rows = m + len(bounds)
     hessian = np.zeros((size, size))
-    hessian[range(n), range(n)] = weights
-    hessian[range(n, size), range(n, size)] = 1.0
+    diagonal = hessian.reshape(-1)[::size + 1]
+    diagonal[:n] = weights
+    diagonal[n:] = 1.0
     linear = np.empty(size)
     linear[:n] = -weights * desired
     linear[n] = -_PRICE_SCALE - 1.0

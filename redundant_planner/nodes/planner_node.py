@@ -98,6 +98,9 @@ class PlannerNode(process.EndableNode):
         on_change(self, lambda: (self._planner_parameters, self._settings), self._apply)
         self.create_timer(
             self._period, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if not process.request_priority(self._settings.thread_priority):
+            self.get_logger().info(
+                'no real-time priority: the system does not grant it (see README, timing)')
         self.get_logger().info(
             f"planning for '{robot.name}' from {robot.base_frame} to {robot.tip_frame} at "
             f'{self._settings.rate} Hz; joints: {", ".join(robot.joint_names)}')

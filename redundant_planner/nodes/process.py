@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import gc
+import os
 import signal
 import sys
 from types import FrameType
@@ -57,6 +58,7 @@ def run(make_node: Callable[[], EndableNode], name: str, args: list[str] | None 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
     node = None
+    keep_off_shared_memory()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
@@ -78,6 +80,33 @@ def run(make_node: Callable[[], EndableNode], name: str, args: list[str] | None 
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def keep_off_shared_memory() -> None:
+    """Have Fast DDS talk over UDP, unless the user has chosen otherwise.
+
+    Its shared-memory transport checks a newcomer's port in the publishing thread and sleeps
+    for 333 ms where that node is slow to answer: whenever some node starts, a control loop may
+    miss eighty ticks. Call it before `rclpy.init`. (Where discovery is limited to LOCALHOST,
+    rmw_fastrtps insists on shared memory and this has no effect.)
+    """
+    if not {'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE'} & set(os.environ):
+        os.environ.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
+
+
+def request_priority(priority: int) -> bool:
+    """Give the calling thread a SCHED_FIFO priority; return whether the system granted it.
+
+    Args:
+        priority: 1 to 98; 0 asks for nothing and is always granted.
+    """
+    if priority == 0:
+        return True
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (PermissionError, AttributeError):
+        return False
+    return True
 
 
 def best_executor(context: Context) -> Executor:

@@ -17,7 +17,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from redundant_planner.core.errors import ParameterError, PlannerError
-from redundant_planner.core.parameters import check, checked, parameter, spec_of
+from redundant_planner.core.parameters import check, checked, parameter, PlannerParameters, spec_of
+from redundant_planner.robot_parameters import RobotParameters
 
 Settings = TypeVar('Settings')
 
@@ -45,6 +46,10 @@ class PlannerNodeParameters:
         0.1, low=1e-3, high=10.0, unit='rad, m',
         description='The commanded positions start again from the measured ones when they are '
                     'further apart than this.')
+    thread_priority: int = parameter(
+        40, low=0, high=98,
+        description='Real-time priority (SCHED_FIFO) of the loop, where the system grants it; 0 '
+                    'for none. Without it a busy machine makes the period jitter.')
     static_obstacles: tuple[str, ...] = parameter(
         (), description='Names of fixed obstacles; each has the parameters '
                         'static_obstacle.NAME.center, .semi_axes and optionally .orientation '
@@ -197,3 +202,33 @@ def on_change(
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(callback)
+
+
+def parameter_page() -> str:
+    """Return docs/parameters.md: every parameter, as declared."""
+    lines = [
+        '# Parameters', '',
+        '<!-- Made by `python -m redundant_planner.nodes.ros_parameters`; do not edit. -->', '',
+        'Parameters marked ● may change while the node runs (`ros2 param set`); a value that '
+        'does not fit is refused with the reason, and nothing changes.', '']
+    for title, settings in (
+            ('planner_node and fake_hardware_node: the robot', RobotParameters),
+            ('planner_node: the mathematics', PlannerParameters),
+            ('planner_node: the loop', PlannerNodeParameters),
+            ('fake_hardware_node', FakeHardwareParameters)):
+        lines += [f'## {title}', '', '| parameter | default | unit | range | meaning |',
+                  '|---|---|---|---|---|']
+        for entry in fields(settings):
+            spec = spec_of(entry)
+            allowed = ', '.join(spec.choices)
+            if math.isfinite(spec.low) or math.isfinite(spec.high):
+                allowed = f'{spec.low:g} … {spec.high:g}'.replace('inf', '∞')
+            default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
+            lines.append(f'| `{entry.name}`{" ●" if spec.runtime else ""} | `{default!r}` | '
+                         f'{spec.unit} | {allowed} | {spec.description} |')
+        lines.append('')
+    return '\n'.join(lines)
+
+
+if __name__ == '__main__':
+    print(parameter_page(), end='')

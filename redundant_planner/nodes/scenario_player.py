@@ -33,9 +33,14 @@ class PlayerParameters:
         '', description="URDF file to use instead of the scenario's robot file's.")
     rate: int = parameter(
         200, low=1, high=1000, unit='Hz', description='Rate of cmd_vel.')
+    subscribers: int = parameter(
+        1, low=1, high=100,
+        description='The motion starts once this many nodes listen on cmd_vel and obstacles: 2 '
+                    'where a recorder must not miss the beginning.')
     settle: float = parameter(
-        0.3, low=0.0, high=60.0, unit='s',
-        description='How long the twist stays zero before the motion and after it.')
+        1.0, low=0.0, high=60.0, unit='s',
+        description='How long the twist stays zero before the motion, while the middleware gets '
+                    'used to the new node, and after it.')
 
     def __post_init__(self) -> None:
         """Check every value."""
@@ -59,6 +64,7 @@ class ScenarioPlayer(process.EndableNode):
         changes = {'urdf': settings.urdf} if settings.urdf else {}
         self._base = self._scenario.load_robot(**changes).base_frame
         self._settle = settings.settle
+        self._subscribers = settings.subscribers
         self._begin: float | None = None
         self._ready = False
         self._twist = self.create_publisher(Twist, 'cmd_vel', 10)
@@ -72,8 +78,9 @@ class ScenarioPlayer(process.EndableNode):
 
     def _tick(self) -> None:
         if self._begin is None:
-            if not (self._ready and self._twist.get_subscription_count()
-                    and self._obstacles.get_subscription_count()):
+            listeners = min(self._twist.get_subscription_count(),
+                            self._obstacles.get_subscription_count())
+            if not self._ready or listeners < self._subscribers:
                 return
             self._obstacles.publish(messages.markers_of(self._scenario.obstacles, self._base))
             self._begin = time.monotonic() + self._settle

@@ -19,9 +19,10 @@ from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.analysis.live import Processes
 from redundant_planner.nodes.messages import twist_to_message
-from redundant_planner.nodes.process import best_executor
+from redundant_planner.nodes.process import best_executor, keep_off_shared_memory
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+keep_off_shared_memory()
 PATIENCE = 30.0
 _domains = itertools.count(110 + os.getpid() % 20 * 5)
 
