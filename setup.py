@@ -41,6 +41,7 @@ setup(
             f'fake_hardware_node = {PACKAGE}.nodes.fake_hardware_node:main',
             f'scenario_player = {PACKAGE}.nodes.scenario_player:main',
             f'demo = {PACKAGE}.analysis.demo:main',
+            f'reproduce_paper = {PACKAGE}.analysis.reproduce_paper:main',
         ],
     },
 )

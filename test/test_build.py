@@ -14,7 +14,7 @@ import pytest
 SOURCE = Path(__file__).resolve().parent.parent
 IGNORED = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log',
                                  'demo_output')
-EXECUTABLES = ('planner_node', 'fake_hardware_node', 'scenario_player', 'demo')
+EXECUTABLES = ('planner_node', 'fake_hardware_node', 'scenario_player', 'demo', 'reproduce_paper')
 
 
 def colcon(workspace: Path, *arguments: str) -> str:

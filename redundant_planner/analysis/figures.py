@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -95,3 +95,60 @@ def draw_arm(
     axes.set_ylabel('y [m]')
     axes.set_zlabel('z [m]')
     axes.view_init(elev=18, azim=-35)
+
+
+# Elevation, azimuth and the axis one looks along in the paper's three views of the arm.
+_VIEWS = ((18, -35, None), (0, 0, 'x'), (90, -90, 'z'))
+
+
+def three_views(
+    path: Path, robot: Robot, positions: Array, obstacles: Sequence[Obstacle], title: str,
+) -> None:
+    """Write the arm's motion from three sides, as in the paper's Figs. 4 and 5.
+
+    Args:
+        path: PNG or SVG file to write.
+        robot: the arm.
+        positions: (k, n).
+        obstacles: the ellipsoids.
+        title: above it all.
+    """
+    figure = Figure(figsize=(15.0, 5.5), layout='constrained')
+    figure.suptitle(title)
+    postures = positions[np.linspace(0, len(positions) - 1, 7).astype(int)]
+    for i, (elevation, azimuth, along) in enumerate(_VIEWS, start=1):
+        axes = figure.add_subplot(1, 3, i, projection='3d')
+        draw_arm(axes, robot, postures, obstacles)
+        axes.view_init(elev=elevation, azim=azimuth)
+        if along:
+            axes.set_proj_type('ortho')
+            axes.set(**{f'{along}ticks': [], f'{along}label': ''})
+    figure.savefig(path, dpi=110)
+
+
+def joint_curves(
+    path: Path, names: Sequence[str], label: str,
+    curves: Mapping[str, tuple[str, Array, Array]], title: str,
+) -> None:
+    """Write one small diagram per joint with every method in it, as in Figs. 6 to 8.
+
+    Args:
+        path: PNG or SVG file to write.
+        names: joint names.
+        label: of the vertical axis.
+        curves: method → (line style, times (k,), values (k, n)).
+        title: above it all.
+    """
+    figure = Figure(figsize=(13.0, 6.5), layout='constrained')
+    figure.suptitle(title)
+    for i, name in enumerate(names):
+        axes = figure.add_subplot(2, 3, i + 1)
+        for method, (style, times, values) in curves.items():
+            axes.plot(times, values[:, i], style, label=method, linewidth=1.5)
+        axes.set_title(name)
+        axes.grid(alpha=0.3)
+        axes.set_xlabel('time [s]')
+        axes.set_ylabel(label)
+        if i == 0:
+            axes.legend(frameon=False, fontsize='small')
+    figure.savefig(path, dpi=110)

@@ -14,6 +14,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
+from redundant_planner.analysis import paper
 from redundant_planner.analysis.demo import summarise
 from redundant_planner.analysis.live import play
 from redundant_planner.analysis.recording import read_recording
@@ -50,6 +51,16 @@ def test_the_papers_motion_live(tmp_path):
     np.testing.assert_allclose(moved, [-0.087, -0.150, 0.011], atol=2e-3)
     assert recording.robot_description.lstrip().startswith('<?xml')
     assert summary.periods.median == pytest.approx(0.004, rel=0.05)
+
+
+def test_the_papers_method_live_ends_where_it_ends_offline(tmp_path):
+    scenario = load_scenario(PAPER)
+    robot = scenario.load_robot()
+    offline = paper.run(scenario, robot, paper.paper_parameters())
+    live = play(scenario, PAPER, tmp_path / 'bag', domain_id=102, planner_files=[
+        share_directory() / 'config' / 'planner' / 'paper.yaml'])
+    states = read_recording(live.bag).states.select(paper.JOINTS)
+    np.testing.assert_allclose(states.positions[-1], offline.final, atol=0.002)
 
 
 def test_a_panda_follows_a_typed_twist_for_ten_seconds():
