@@ -101,6 +101,7 @@ def _scalar(name: str, spec: Spec, kind: type, value: Any) -> Any:
 
 METHODS = ('gradient_projection', 'dynamic_factor')
 CLEARANCE_POINTS = ('links', 'joints')
+PATH_PRIORITIES = ('yield', 'strict')
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class PlannerParameters:
         description='Adjustment coefficient of Eq. 2 for dynamic_factor: the largest null-space '
                     'speed as a share of the least-norm speed.')
     k_w: float = parameter(
-        0.01, low=0.0, runtime=True,
+        1.0, low=0.0, runtime=True,
         description='Weight of the clearance index H_w in Eq. 18. With 0 nothing but the safety '
                     'filter minds the obstacles.')
     k_s: float = parameter(
@@ -159,7 +160,7 @@ class PlannerParameters:
                     'Makes metres and radians comparable: the result of a least norm depends on '
                     'the unit of a prismatic joint.')
     drift_gain: float = parameter(
-        5.0, low=0.0, high=100.0, unit='1/s', runtime=True,
+        10.0, low=0.0, high=100.0, unit='1/s', runtime=True,
         description='Feedback of the tip pose error; 0 integrates open-loop, as the paper does, '
                     'and drifts. Above a tenth of the rate it oscillates.')
     drift_speed: float = parameter(
@@ -169,7 +170,7 @@ class PlannerParameters:
         0.5, low=0.0, unit='rad/s', runtime=True,
         description='Largest speed at which an orientation error is taken back.')
     drift_distance: float = parameter(
-        0.1, low=0.0, unit='m', runtime=True,
+        0.3, low=0.0, unit='m', runtime=True,
         description='Larger position errors are forgotten: an arm that was held back or pushed '
                     'further away than this does not come all the way back by itself.')
     drift_angle: float = parameter(
@@ -192,10 +193,22 @@ class PlannerParameters:
     clearance_margin: float = parameter(
         0.01, low=0.0, high=1.0, unit='m', runtime=True,
         description='Distance kept between links and obstacles.')
+    singularity_margin: float = parameter(
+        0.04, low=0.0, high=10.0, unit='m', runtime=True,
+        description='Smallest singular value of J that the arm may go down to; 0 for none. '
+                    'Small values let joints race next to a singularity, large ones shrink the '
+                    'workspace.')
     barrier_gain: float = parameter(
-        10.0, low=0.1, high=1000.0, unit='1/s', runtime=True,
+        5.0, low=0.1, high=1000.0, unit='1/s', runtime=True,
         description='How fast a remaining clearance may be used up: at most this share of it per '
-                    'second, and never faster than the arm can brake.')
+                    'second, and never faster than the arm can brake. Higher values let it go '
+                    'faster near obstacles and turn away later and harder.')
+    path_priority: str = parameter(
+        'yield', choices=PATH_PRIORITIES, runtime=True,
+        description='Whether the tip may leave its path (yield) where something moves into the '
+                    'arm, or was found too close to it, and nothing else helps; it comes back '
+                    'afterwards. strict: never, it may be hit. Past what stands still the path '
+                    'is kept either way.')
 
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""

@@ -31,6 +31,8 @@ Array = npt.NDArray[np.float64]
 
 # An arm that is not commanded and this close to where it should be is left in peace [m, rad].
 _AT_REST = 1e-5
+# The singularity barrier is looked at below this multiple of its margin.
+_SINGULARITY_NEAR = 5.0
 
 
 class Nearest(NamedTuple):
@@ -129,6 +131,7 @@ class Planner:
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
         self._previous = np.zeros(self.robot.n)
+        self._followed = np.zeros(self.robot.m)
         self._reference: Pose | None = None
 
     @property
@@ -180,15 +183,17 @@ class Planner:
         homogeneous = self._scaling * (factor * projected)
         dq = least_norm + homogeneous  # Eq. 1
 
-        scale, stage, reason = 1.0, safety.Stage.DESIRED, ''
+        scale, stage, reason, coasting = 1.0, safety.Stage.DESIRED, '', self._followed
+        self._followed = arm.jacobian @ dq - robot.task_rows(correction)
         if p.safety_filter:
-            dq, scale, stage, reason = self._filtered(
-                dq, bool(parts.singular_values[-1] >= p.damping_threshold), arm, task, maps,
-                pairs, scene, dt)
+            result, reason = self._filtered(dq, parts, arm, task, maps, pairs, scene, dt)
+            dq, scale, stage = result.dq, result.scale, result.stage
+            # What was followed of the path; neither the way back to it nor what was yielded.
+            self._followed = scale * robot.task_rows(command) + result.coast * coasting
 
-        followed = robot.full_twist(arm.jacobian @ dq - scale * robot.task_rows(correction))
         self._reference = drift.integrate(
-            drift.displaced(pose, error, robot.command_frame), followed, dt, robot.command_frame)
+            drift.displaced(pose, error, robot.command_frame),
+            robot.full_twist(self._followed), dt, robot.command_frame)
         self._previous = dq
         return StepResult(
             dq.copy(), least_norm, homogeneous, factor, scale, stage, reason, level,
@@ -266,20 +271,37 @@ class Planner:
         return columns[self._controlled]
 
     def _filtered(
-        self, desired: Array, exact: bool, arm: Kinematics, task: Array, maps: Whitening,
-        pairs: Pairs, scene: Scene, dt: float,
-    ) -> tuple[Array, float, safety.Stage, str]:
+        self, desired: Array, parts: null_space.Decomposition, arm: Kinematics, task: Array,
+        maps: Whitening, pairs: Pairs, scene: Scene, dt: float,
+    ) -> tuple[safety.Filtered, str]:
         """Pass the desired velocity through the safety filter and name what acted."""
         links, obstacles = self._pairs_in_reach(maps, pairs, dt)
         gradient, rate = clearance_gradients(
             maps, pairs, links, obstacles, arm.segment_start, arm.segment_end, arm.columns,
             self.robot.capsule_joint_count)
         barriers = safety.Barriers(gradient, rate, pairs.clearance[links, obstacles])
+        may_yield = self._parameters.path_priority == 'yield' and bool(
+            ((barriers.clearance < 0.0) | (barriers.drift < 0.0)).any())
+        exact = bool(parts.singular_values[-1] >= self._parameters.damping_threshold)
         result = safety.safe_velocity(
             desired, exact, arm.jacobian, task, arm.q, self._previous, self._limits, barriers,
-            weights=self._weights, gain=self._parameters.barrier_gain, dt=dt)
-        return (result.dq, result.scale, result.stage,
-                self._reason(result, bool(task.any()), links, obstacles, scene, dt))
+            weights=self._weights, gain=self._parameters.barrier_gain,
+            may_yield=may_yield, dt=dt, singularity=self._singularity(arm, parts))
+        return result, self._reason(
+            result, bool(task.any()), links, obstacles, scene, dt)
+
+    def _singularity(
+        self, arm: Kinematics, parts: null_space.Decomposition,
+    ) -> safety.SingularityBarrier | None:
+        """Return the barrier of the smallest singular value σ, None where it is far away.
+
+        With its directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v.
+        """
+        margin, smallest = self._parameters.singularity_margin, parts.singular_values[-1]
+        if smallest > _SINGULARITY_NEAR * margin:
+            return None
+        columns = self._jacobian_derivative(arm, self._scaling * parts.right[-1])
+        return safety.SingularityBarrier(parts.left[:, -1] @ columns, float(smallest - margin))
 
     def _reason(
         self, result: safety.Filtered, commanded: bool, links: npt.NDArray[np.intp],
@@ -296,7 +318,7 @@ class Planner:
             return ''
         names = [f"joint '{self.robot.joint_names[i]}' at its limit" for i in at_limit]
         names += [f"link '{self.robot.capsules[links[i]].name}' near obstacle "
-                  f"'{scene.names[obstacles[i]]}'" for i in result.pairs]
+                  f"'{scene.names[obstacles[i]]}'" for i in result.pairs if i < len(links)]
         return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
 
     def _pairs_in_reach(

@@ -14,10 +14,12 @@ proportion; a clearance or joint range h is then used up by at most |ḣ| T/2 un
 
 Where the first problem has no solution the next one is tried:
 
-    SCALED   T may grow by dt: the arm may speed up.
-    BRAKING  T must shrink by dt, and the twist may keep a share r of the present one,
-             J q̇ = s ẋ + r J q̇_prev: an arm in motion cannot turn or stop at once.
-    FORCED   barriers get a heavily priced slack; limits stay.
+    SCALED    T may grow by dt: the arm may speed up.
+    BRAKING   T must shrink by dt, and the twist may keep a share r ≤ 1 − dt/T of the present
+              one, J q̇ = s ẋ + r J q̇_prev: an arm in motion cannot turn or stop at once.
+    YIELDING  the path gives way, as little as possible: only where something moves into the arm
+              or was found too close to it, and only if that is allowed.
+    FORCED    barriers get a heavily priced slack; limits stay.
 """
 
 from __future__ import annotations
@@ -31,11 +33,16 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
+# Price of the whole twist in units of ½‖q̇_des‖²: null-space motion may be √50 times as fast as
+# the desired motion before the twist slows down for it. Dearer, and the arm whips around.
+_PRICE_SCALE = 25.0
 # Prices per unit, each large enough to be paid only when nothing cheaper helps; the squared
 # joint velocities they compete with are of the order of 1 (rad/s)².
-_PRICE_SCALE = 1e3
-_PRICE_COAST = 1e5
-_PRICE_BARRIER = 1e7
+_PRICE_COAST = 1e4
+_PRICE_PATH = 1e4
+_PRICE_BARRIER = 1e6
+# Where the path must not give way, coasting on must not serve as a way around that.
+_PRICE_COAST_STRICT = 1e8
 _UNBOUNDED = 1e30
 # Multipliers below this are round-off, not a constraint that acts.
 _ACTIVE = 1e-9
@@ -51,6 +58,7 @@ class Stage(Enum):
     DESIRED = 'the desired velocity breaks no limit'
     SCALED = 'the speed gave way'
     BRAKING = 'the arm brakes'
+    YIELDING = 'the arm leaves its path to evade'
     FORCED = 'a clearance could not be kept at the rate asked for'
     STOPPED = 'no problem had a solution: every joint slows down as fast as it may'
 
@@ -76,6 +84,18 @@ class Barriers(NamedTuple):
     gradient: Array
     drift: Array
     clearance: Array
+
+
+class SingularityBarrier(NamedTuple):
+    """The smallest singular value of J must not be used up either.
+
+    Attributes:
+        gradient: (n,) ∂σ/∂q.
+        reserve: σ above its margin; negative when closer to the singularity than that.
+    """
+
+    gradient: Array
+    reserve: float
 
 
 class Filtered(NamedTuple):
@@ -165,7 +185,8 @@ def barrier_bounds(barriers: Barriers, gain: float, stop: float, dt: float) -> A
 
 def safe_velocity(
     desired: Array, exact: bool, jacobian: Array, twist: Array, q: Array, previous: Array,
-    limits: Limits, barriers: Barriers, *, weights: Array, gain: float, dt: float,
+    limits: Limits, barriers: Barriers, *, weights: Array, gain: float, may_yield: bool,
+    dt: float, singularity: SingularityBarrier | None = None,
 ) -> Filtered:
     """Return the admissible joint velocity nearest to the desired one.
 
@@ -179,12 +200,15 @@ def safe_velocity(
         barriers: of the near pairs.
         weights: (n,) diagonal of W.
         gain: barrier gain [1/s].
+        may_yield: whether the path may give way to a barrier.
         dt: [s].
+        singularity: keeps away from one; gives way before anything else does, for leaving it is
+            never urgent.
     """
-    gradient, a = barriers.gradient, limits.acceleration_max
+    a = limits.acceleration_max
     stop = stopping_time(previous, a)
     lower, upper, kept = velocity_bounds(q, previous, limits, stop + dt, dt)
-    bounds = barrier_bounds(barriers, gain, stop + dt, dt)
+    gradient, bounds = _rows(barriers, singularity, gain, stop + dt, dt)
     if kept:
         if exact and bool((desired >= lower).all() and (desired <= upper).all()
                           and (gradient @ desired >= bounds).all()):
@@ -194,54 +218,88 @@ def safe_velocity(
         if found is not None:
             return found
 
-    coasting = jacobian @ previous
     shorter = max(stop - dt, 0.0)
+    # r ≤ 1 enters the problem; the share that proportional braking leaves enters here.
+    share = shorter / stop if stop > 0.0 else 0.0
+    coasting = share * (jacobian @ previous)
     low, high, _ = velocity_bounds(q, previous, limits, shorter, dt)
-    found = _solve(Stage.BRAKING, desired, jacobian, twist, coasting,
-                   np.minimum(np.maximum(low, -a * shorter), high),
-                   np.maximum(np.minimum(high, a * shorter), low),
-                   gradient, barrier_bounds(barriers, gain, shorter, dt), weights)
-    if found is None:
-        found = _solve(Stage.FORCED, desired, jacobian, twist, coasting, lower, upper, gradient,
-                       bounds, weights)
-    if found is None:
-        still = np.minimum(np.maximum(0.0, lower), upper)
-        found = Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE)
-    return found
+    low, high = (np.minimum(np.maximum(low, -a * shorter), high),
+                 np.maximum(np.minimum(high, a * shorter), low))
+    gradient, bounds = _rows(barriers, singularity, gain, shorter, dt)
+    found = _solve(Stage.BRAKING, desired, jacobian, twist, coasting, low, high, gradient,
+                   bounds, weights, share=share)
+    if found is not None:
+        return found
+    if not kept:
+        # Speeding up would cost an acceleration limit later: brake, whatever else gives way.
+        lower, upper = low, high
+    gradient, bounds = _rows(barriers, None, gain, stop + dt, dt)
+    for stage in (Stage.YIELDING, Stage.FORCED) if may_yield else (Stage.FORCED,):
+        found = _solve(stage, desired, jacobian, twist, coasting, lower, upper, gradient,
+                       bounds, weights, share=share, path_gives_way=may_yield)
+        if found is not None:
+            return found
+    still = np.minimum(np.maximum(0.0, lower), upper)
+    return Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE)
+
+
+def _rows(
+    barriers: Barriers, singularity: SingularityBarrier | None, gain: float, stop: float,
+    dt: float,
+) -> tuple[Array, Array]:
+    """Return all barriers as (gradient, bounds) of gradient · q̇ ≥ bounds."""
+    bounds = barrier_bounds(barriers, gain, stop, dt)
+    if singularity is None:
+        return barriers.gradient, bounds
+    # Closer than the margin the arm may stay where it is; it only may not get closer.
+    bound = -barrier_rate(gain, stop, dt) * max(singularity.reserve, 0.0)
+    return (np.concatenate((barriers.gradient, singularity.gradient[None])),
+            np.append(bounds, bound))
 
 
 def _solve(
     stage: Stage, desired: Array, jacobian: Array, twist: Array, coasting: Array | None,
-    lower: Array, upper: Array, gradient: Array, bounds: Array, weights: Array,
+    lower: Array, upper: Array, gradient: Array, bounds: Array, weights: Array, *,
+    share: float = 0.0, path_gives_way: bool = False,
 ) -> Filtered | None:
     """Set up and solve one stage; None where it has no solution.
 
-    Variables are (q̇, s), then r where the twist may coast, then the barriers' slack.
+    Variables are (q̇, s), then r where the twist may coast, then the barriers' slack. A path
+    that gives way is a squared price on J q̇ − s ẋ − r J q̇_prev instead of a constraint.
     """
-    m, n = jacobian.shape
+    n = jacobian.shape[1]
     slack = stage is Stage.FORCED
     size = n + 1 + (coasting is not None) + slack
-    rows = m + len(bounds)
+    path = np.zeros((len(jacobian), size))
+    path[:, :n] = jacobian
+    path[:, n] = -twist
     hessian = np.zeros((size, size))
     diagonal = hessian.reshape(-1)[::size + 1]
     diagonal[:n] = weights
-    diagonal[n:] = 1.0
+    diagonal[n:] = 1e-3
     linear = np.empty(size)
     linear[:n] = -weights * desired
-    linear[n] = -_PRICE_SCALE - 1.0
+    linear[n] = -_PRICE_SCALE * (desired @ (weights * desired)) - 1e-3
+    if coasting is not None:
+        linear[n + 1] = (
+            _PRICE_COAST_STRICT if slack and not path_gives_way else _PRICE_COAST)
+        path[:, n + 1] = -coasting
+    if path_gives_way:
+        hessian += _PRICE_PATH * (path.T @ path)
+        path = path[:0]
+    m = len(path)
+    rows = m + len(bounds)
     constraints = np.zeros((rows, size))
-    constraints[:m, :n] = jacobian
-    constraints[:m, n] = -twist
+    constraints[:m] = path
     constraints[m:, :n] = gradient
     high = np.full(size + rows, _UNBOUNDED)
     low = np.zeros(size + rows)
     low[:n], high[:n] = lower, upper
-    high[n:size] = 1.0
+    # Proportional braking alone, r = 1, may be all there is: round-off must not shut it out.
+    high[n:size] = 1.0 + 1e-6
+    high[n] = 1.0
     high[size:size + m] = 0.0
     low[size + m:] = bounds
-    if coasting is not None:
-        linear[n + 1] = _PRICE_COAST
-        constraints[:m, n + 1] = -coasting
     if slack:
         linear[-1] = _PRICE_BARRIER
         constraints[m:, -1] = 1.0
@@ -250,12 +308,11 @@ def _solve(
     sense[size:size + m] = _EQUALITY
     x, _, flag, info = daqp.solve(
         hessian, linear, constraints, high, low, sense, primal_tol=_TOLERANCE)
-    dq = x[:n]
     if flag != 1 or not np.isfinite(x).all():
         return None
     acting = np.abs(info['lam']) > _ACTIVE
     return Filtered(
-        np.minimum(np.maximum(dq, lower), upper),
+        np.minimum(np.maximum(x[:n], lower), upper),
         min(max(float(x[n]), 0.0), 1.0),
-        float(x[n + 1]) if coasting is not None else 0.0,
+        share * float(x[n + 1]) if coasting is not None else 0.0,
         stage, np.flatnonzero(acting[:n]), np.flatnonzero(acting[size + m:]))

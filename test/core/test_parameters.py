@@ -24,14 +24,17 @@ CHANGES = {
     'drift_distance': 0.001, 'drift_angle': 0.001, 'drift_speed': 0.001,
     'drift_angular_speed': 0.001, 'linear_speed_max': 0.1,
     'angular_speed_max': 0.1, 'safety_filter': False, 'position_margin': 0.0,
-    'clearance_margin': 0.05, 'barrier_gain': 0.5,
+    'clearance_margin': 0.05, 'barrier_gain': 0.5, 'path_priority': 'strict',
+    'singularity_margin': 1.2,
 }
 
 
-def motion(parameters, start=(0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1), axes=None):
+def motion(parameters, start=(0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1), axes=None,
+           drift=(0.0, 0.0, 0.0)):
     robot = make_paper_arm(**({'axes': axes} if axes else {}))
-    scene = Scene.of([Obstacle('o', np.array([0, 0.55, 0.45]), np.array([0.05, 0.03, 0.03])),
-                      Obstacle('p', np.array([0.05, 0.5, 0.5]), np.array([0.05, 0.03, 0.03]))])
+    scene = Scene.of([
+        Obstacle('o', np.array([0, 0.55, 0.45]), np.array([0.05, 0.03, 0.03])),
+        Obstacle('p', np.array([0.05, 0.5, 0.5]), np.array([0.05, 0.03, 0.03]), velocity=drift)])
     planner = Planner(robot, parameters)
     twist = np.array([-0.1, -0.2, 0.3, 0.0, 0.5, 0.0])
     postures, _ = drive(planner, start, twist, scene, 0.2)
@@ -53,6 +56,8 @@ def test_every_parameter_has_an_effect(name):
         options['axes'] = ('vx', 'vy', 'vz', 'wy')
     if name == 'position_margin':
         options['start'] = (0.38, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1)
+    if name == 'path_priority':
+        options['drift'] = (-0.5, 0.5, -0.5)
     before = motion(base, **options)
     after = motion(replace(base, **{name: CHANGES[name]}), **options)
     assert np.abs(before - after).max() > 1e-6

@@ -232,3 +232,79 @@ def test_parameters_that_do_not_fit_the_robot_are_refused(panda):
         Planner(panda, PlannerParameters(joint_weights=(1.0, 2.0)))
     with pytest.raises(ParameterError, match=r"'position_margin' is 0.5; joint 'd1' has no"):
         Planner(make_paper_arm(), PlannerParameters(position_margin=0.5))
+
+
+@pytest.mark.parametrize(('make', 'start', 'direction'), [
+    (make_panda, PANDA_READY, [0.3, 0.0, 0.1]),
+    (lambda: make_panda(axes=AXES[:3]), PANDA_READY, [0.0, 0.0, 0.3]),
+    (make_paper_arm, [0.1, 0.1, 0, 0.5, -0.5, 1.0, 0], [0.0, 0.3, 0.3]),
+    (make_planar, [0.3, 0.4, 0.3], [0.3, 0.1, 0.0]),
+])
+def test_into_a_singularity_and_out_again(make, start, direction):
+    """Outwards until nothing goes any more, then back: on the line, within limits, at once."""
+    robot = make()
+    planner = Planner(robot, PlannerParameters())
+    out = np.array([*direction, 0.0, 0.0, 0.0])
+    postures, results = drive(planner, start, lambda t: out if t < 5.0 else -out, seconds=7.0)
+    tips = np.array([robot.kinematics(q).tip_position for q in postures]) - robot.kinematics(
+        start).tip_position
+    along = out[:3] / np.linalg.norm(out[:3])
+    assert np.linalg.norm(tips - np.outer(tips @ along, along), axis=1).max() < 1e-3
+    velocities = np.array([r.dq for r in results])
+    changes = np.abs(np.diff(velocities, axis=0, prepend=np.zeros((1, robot.n))))
+    assert (np.abs(velocities) <= robot.velocity_max + 1e-9).all()
+    assert (changes <= robot.acceleration_max * DT + 1e-9).all()
+    turn = round(5.0 / DT)
+    assert results[turn - 1].scale < 0.05  # it had come to its end
+    back = (tips[turn] - tips[turn + round(1.0 / DT)]) @ along
+    assert back > 0.5 * np.linalg.norm(out[:3])  # and one second later it is well on its way
+
+
+def sweep(robot, path_priority, axis, speed=0.2):
+    """A ball that crosses the resting arm's fifth link; distances, errors and results."""
+    planner = Planner(robot, PlannerParameters(path_priority=path_priority))
+    arm = robot.kinematics(PANDA_READY)
+    link = [c.name for c in robot.capsules].index('link5')
+    middle = 0.5 * (arm.segment_start[link] + arm.segment_end[link])
+    velocity = speed * np.array(axis)
+    q, distances, results = PANDA_READY, [], []
+    for i in range(round(14.0 / DT)):
+        center = middle + velocity * (i * DT - 2.0)
+        scene = Scene.of([Obstacle('ball', center, np.full(3, 0.06), velocity=velocity)])
+        results.append(planner.step(q, np.zeros(6), scene, DT))
+        q = q + DT * results[-1].dq
+        distances.append(results[-1].nearest.distance)
+    errors = [np.linalg.norm(r.path_error[:3]) for r in results]
+    return np.array(distances), np.array(errors), results
+
+
+@pytest.mark.parametrize(('axis', 'leaves'), [
+    ([1.0, 0.0, 0.0], True), ([0.0, 1.0, 0.0], False), ([-0.6, 0.0, 0.8], True)])
+def test_a_resting_arm_evades_what_moves_into_it_and_comes_back(panda, axis, leaves):
+    distances, errors, results = sweep(panda, 'yield', axis)
+    assert distances.min() > -0.01  # the margin may be used, the arm is not hit
+    assert errors[-1] < 1e-3
+    left = [r for r in results if r.stage is Stage.YIELDING]
+    assert bool(left) == leaves  # not where null-space motion alone is enough
+    if leaves:
+        assert "obstacle 'ball'" in left[0].reason and 'leaves its path' in left[0].reason
+
+
+def test_a_strict_arm_does_not_leave_its_path(panda):
+    distances, errors, results = sweep(panda, 'strict', [1.0, 0.0, 0.0])
+    # Not by intention, that is: null-space motion at full joint speed costs 2 mm per tick's arc.
+    assert errors.max() < 3e-3
+    assert distances.min() < -0.01  # and is hit
+    assert not any(r.stage is Stage.YIELDING for r in results)
+
+
+def test_an_arm_found_inside_an_obstacle_moves_out_and_never_deeper(panda):
+    arm = panda.kinematics(PANDA_READY)
+    link = [c.name for c in panda.capsules].index('link5')
+    center = 0.5 * (arm.segment_start[link] + arm.segment_end[link]) + [0.05, 0.03, 0.0]
+    scene = Scene.of([Obstacle('ball', center, np.full(3, 0.07))])
+    _, results = drive(Planner(panda, PlannerParameters()), PANDA_READY, np.zeros(6), scene, 3.0)
+    distances = np.array([r.nearest.distance for r in results])
+    assert distances[0] < -0.03
+    assert (np.diff(distances) > -1e-5).all()
+    assert distances[-1] > -1e-3

@@ -1,0 +1,1 @@
+"""Measurements: `python -m benchmark.scenarios` and others; nothing here is installed."""

@@ -1,0 +1,194 @@
+"""Seeded hard motions: a twist that an arm can follow, with obstacles in the way of its links."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core import null_space
+from redundant_planner.core.drift import integrate, Pose
+from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+DURATION = 4.0
+# Samples along the least-norm motion at which obstacles are placed and checked.
+_SAMPLES = 81
+# Clearance at the start, and around what the command alone determines [m].
+_START_CLEARANCE = 0.04
+_TIP_CLEARANCE = 0.03
+_HIT_SHARE = 0.85
+_FASTEST_OBSTACLE = 0.3
+_SIZE = (0.04, 0.10)
+_MOVING_SIZE = (0.04, 0.08)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One motion to follow.
+
+    Attributes:
+        seed: reproduces it.
+        start: (n,) posture [rad, m].
+        twist: (6,) peak twist; the commanded twist is its multiple sin²(πt/4 s), or zero.
+        obstacles: at time 0, with their velocities.
+    """
+
+    seed: int
+    start: Array
+    twist: Array
+    obstacles: tuple[Obstacle, ...]
+
+    def twist_at(self, time: float) -> Array:
+        """Return the commanded twist (6,)."""
+        return self.twist * np.sin(np.pi * min(max(time / DURATION, 0.0), 1.0)) ** 2
+
+    def obstacles_at(self, time: float) -> tuple[Obstacle, ...]:
+        """Return the obstacles where they are at `time`."""
+        return tuple(
+            Obstacle(o.name, o.center + time * o.velocity, o.semi_axes, o.orientation, o.velocity)
+            for o in self.obstacles)
+
+
+def generate(robot: Robot, seed: int, *, moving: bool = False) -> Task:
+    """Return the task of a seed: deterministic, and hard for whoever looks only at the tip."""
+    random = np.random.default_rng([seed, moving])
+    while True:
+        start = _random_start(robot, random)
+        # A third of the moving tasks hold the arm still: what comes at it then must be evaded.
+        resting = moving and random.uniform() < 1.0 / 3.0
+        twist = np.zeros(6) if resting else _random_twist(robot, random)
+        path = _least_norm_path(robot, start, twist)
+        if path is None:
+            continue
+        place = _moving_obstacles if moving else _static_obstacles
+        obstacles = place(robot, path, random)
+        if obstacles is not None:
+            return Task(seed, start, twist, obstacles)
+
+
+def _random_start(robot: Robot, random: np.random.Generator) -> Array:
+    low = np.where(np.isfinite(robot.position_min), robot.position_min, -np.pi)
+    high = np.where(np.isfinite(robot.position_max), robot.position_max, np.pi)
+    return random.uniform(low + 0.15 * (high - low), high - 0.15 * (high - low))
+
+
+def _random_twist(robot: Robot, random: np.random.Generator) -> Array:
+    """Peak twist of a motion over 0.1 to 0.3 m and, where it is controlled, up to 0.5 rad."""
+    direction = random.normal(size=3)
+    axis = random.normal(size=3)
+    twist = np.concatenate((
+        direction / np.linalg.norm(direction) * random.uniform(0.1, 0.3),
+        axis / np.linalg.norm(axis) * random.uniform(0.0, 0.5)))
+    twist = robot.full_twist(robot.task_rows(twist))
+    return twist * 2.0 / DURATION  # ∫ sin² = half the duration
+
+
+def _least_norm_path(robot: Robot, start: Array, twist: Array) -> Array | None:
+    """Return the least-norm postures (k, n), None where limits or a singularity cut them off."""
+    dt = DURATION / (_SAMPLES - 1)
+    q, path = start, [start]
+    for i in range(_SAMPLES - 1):
+        parts = null_space.decompose(robot.kinematics(q).jacobian)
+        if parts.singular_values[-1] < 0.08:
+            return None
+        share = np.sin(np.pi * (i + 0.5) / (_SAMPLES - 1)) ** 2
+        dq = null_space.least_norm(
+            parts, 1.0 / parts.singular_values, robot.task_rows(twist * share))
+        q = q + dt * dq
+        path.append(q)
+    postures = np.array(path)
+    inside = (postures > robot.position_min + 0.05) & (postures < robot.position_max - 0.05)
+    return postures if inside.all() else None
+
+
+def _segments(robot: Robot, postures: Array) -> tuple[Array, Array]:
+    arms = [robot.kinematics(q) for q in postures]
+    return (np.array([a.segment_start for a in arms]), np.array([a.segment_end for a in arms]))
+
+
+def _clearances(robot: Robot, obstacle: Obstacle, ends: tuple[Array, Array], margin: float,
+                ) -> Array:
+    """Return ρ (k, c) of one obstacle against links widened by `margin` along a path."""
+    k, c = ends[0].shape[:2]
+    radii = np.tile([capsule.radius + margin for capsule in robot.capsules], k)
+    maps = whitening(Scene.of([obstacle]), radii)
+    pairs = link_clearance(maps, ends[0].reshape(-1, 3), ends[1].reshape(-1, 3))
+    return pairs.clearance.reshape(k, c)
+
+
+def _random_ellipsoid(
+    name: str, center: Array, sizes: tuple[float, float], random: np.random.Generator,
+    velocity: Array | None = None,
+) -> Obstacle:
+    quaternion = random.normal(size=4)
+    return Obstacle(name, center, random.uniform(*sizes, 3),
+                    quaternion / np.linalg.norm(quaternion),
+                    np.zeros(3) if velocity is None else velocity)
+
+
+def _static_obstacles(
+    robot: Robot, path: Array, random: np.random.Generator,
+) -> tuple[Obstacle, ...] | None:
+    """Place 1 to 3 ellipsoids on the links' swept volume, clear of the start and of the tip."""
+    ends = _segments(robot, path)
+    # What the last two joints carry goes where the tip's pose takes it.
+    tip = robot.capsule_joint_count >= robot.n - 1
+    links = np.flatnonzero(~tip)
+    wanted = int(random.integers(1, 4))
+    must_hit = random.uniform() < _HIT_SHARE
+    found: list[Obstacle] = []
+    hits = False
+    for _ in range(60):
+        if len(found) == wanted:
+            break
+        sample, link = random.integers(_SAMPLES // 3, _SAMPLES), random.choice(links)
+        t = random.uniform()
+        on_link = (1 - t) * ends[0][sample, link] + t * ends[1][sample, link]
+        # From half-way into the link to just touching it from outside.
+        direction = random.normal(size=3)
+        offset = random.uniform(0.5, 1.0) * (robot.capsules[link].radius + sum(_SIZE) / 2.0)
+        center = on_link + offset * direction / np.linalg.norm(direction)
+        obstacle = _random_ellipsoid(f'obstacle{len(found)}', center, _SIZE, random)
+        clear_start = _clearances(robot, obstacle, (ends[0][:1], ends[1][:1]),
+                                  _START_CLEARANCE).min() > 0.0
+        around_tip = _clearances(robot, obstacle, ends, _TIP_CLEARANCE)[:, tip]
+        if clear_start and (not tip.any() or around_tip.min() > 0.0):
+            found.append(obstacle)
+            hits |= bool(_clearances(robot, obstacle, ends, 0.0).min() < 0.0)
+    return tuple(found) if found and (hits or not must_hit) else None
+
+
+def _moving_obstacles(
+    robot: Robot, path: Array, random: np.random.Generator,
+) -> tuple[Obstacle, ...] | None:
+    """Send one or two ellipsoids through where the links will be, at up to 0.3 m/s."""
+    ends = _segments(robot, path)
+    dt = DURATION / (_SAMPLES - 1)
+    found: list[Obstacle] = []
+    for i in range(int(random.integers(1, 3))):
+        sample = int(random.integers(_SAMPLES // 3, 2 * _SAMPLES // 3))
+        link = int(random.integers(len(robot.capsules) // 3, len(robot.capsules)))
+        target = 0.5 * (ends[0][sample, link] + ends[1][sample, link])
+        direction = random.normal(size=3)
+        velocity = (direction / np.linalg.norm(direction)
+                    * random.uniform(0.1, _FASTEST_OBSTACLE))
+        obstacle = _random_ellipsoid(f'obstacle{i}', target - velocity * sample * dt,
+                                     _MOVING_SIZE, random, velocity)
+        clear = _clearances(robot, obstacle, (ends[0][:1], ends[1][:1]), _START_CLEARANCE)
+        if clear.min() <= 0.0:
+            return None
+        found.append(obstacle)
+    return tuple(found)
+
+
+def path_poses(robot: Robot, task: Task, dt: float) -> list[Pose]:
+    """Return where the tip is at every tick if the whole motion is followed at full speed."""
+    arm = robot.kinematics(task.start)
+    poses = [Pose(arm.tip_position, arm.tip_rotation)]
+    for i in range(round(DURATION / dt)):
+        poses.append(integrate(poses[-1], task.twist_at(i * dt), dt, robot.command_frame))
+    return poses

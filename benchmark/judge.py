@@ -1,0 +1,112 @@
+"""An independent judge: exact capsule–ellipsoid distances from coal, limits, tracking."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from benchmark.generator import path_poses, Task
+from redundant_planner.analysis.metrics import distance_to_path
+from redundant_planner.core.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+# Every that many ticks distances are measured; in between nothing moves 2 mm.
+_STRIDE = 2
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one run came to.
+
+    Attributes:
+        min_distance: smallest distance of a link to an obstacle, negative inside [m].
+        nearest: names of that link and obstacle, and when [s].
+        limit_violation: largest excess over a position, velocity or acceleration limit, as a
+            share of that limit (positions: in rad, m).
+        path_error: largest distance of the tip from the commanded path [m].
+        final_error: distance of the tip from the path at the end [m].
+        completed: whether the tip reached the path's end, to 1 mm.
+        cost: ∫q̇ᵀq̇ dt.
+        path: Σ|Δq| over all joints.
+    """
+
+    min_distance: float
+    nearest: str
+    limit_violation: float
+    path_error: float
+    final_error: float
+    completed: bool
+    cost: float
+    path: float
+
+
+class Judge:
+    """Judges runs of one robot."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Prepare the robot's capsules as coal shapes."""
+        self._robot = robot
+        self._shapes = [coal.Capsule(max(c.radius, 1e-5), max(_length(c), 1e-6))
+                        for c in robot.capsules]
+
+    def judge(self, task: Task, postures: Array, velocities: Array, dt: float) -> Verdict:
+        """Return the verdict on postures (k + 1, n) and the velocities (k, n) between them."""
+        robot = self._robot
+        closest, nearest = np.inf, ''
+        for i in range(0, len(postures), _STRIDE):
+            distance, names = self._distance(task, postures[i], i * dt)
+            if distance < closest:
+                closest, nearest = distance, f'{names} at {i * dt:.2f} s'
+        # The path as a line: where along it the tip is does not matter, only how far off.
+        path = np.array([pose.position for pose in path_poses(robot, task, dt)])
+        tips = np.array([robot.kinematics(q).tip_position for q in postures])
+        errors = distance_to_path(tips[::_STRIDE], path[::10])
+        change = np.diff(np.vstack((np.zeros(robot.n), velocities)), axis=0) / dt
+        excess = max(
+            float((postures - robot.position_max).max()),
+            float((robot.position_min - postures).max()),
+            float((np.abs(velocities) / robot.velocity_max).max() - 1.0),
+            float((np.abs(change) / robot.acceleration_max).max() - 1.0), 0.0)
+        return Verdict(
+            closest, nearest, excess if excess > _TOLERANCE else 0.0, float(errors.max()),
+            float(errors[-1]), bool(np.linalg.norm(tips[-1] - path[-1]) < 1e-3),
+            float(np.square(velocities).sum() * dt),
+            float(np.abs(np.diff(postures, axis=0)).sum()))
+
+    def _distance(self, task: Task, q: Array, time: float) -> tuple[float, str]:
+        arm = self._robot.kinematics(q)
+        request, best, names = coal.DistanceRequest(), np.inf, ''
+        for obstacle in task.obstacles_at(time):
+            ellipsoid = coal.Ellipsoid(*obstacle.semi_axes.tolist())
+            at = coal.Transform3s(obstacle.rotation, obstacle.center)
+            reach = obstacle.semi_axes.max()
+            for capsule, shape, a, b in zip(
+                    self._robot.capsules, self._shapes, arm.segment_start, arm.segment_end):
+                if np.linalg.norm(0.5 * (a + b) - obstacle.center) > (
+                        reach + capsule.radius + 0.5 * _length(capsule) + 0.2):
+                    continue
+                result = coal.DistanceResult()
+                distance = coal.distance(
+                    shape, coal.Transform3s(_rotation_to(b - a), 0.5 * (a + b)), ellipsoid, at,
+                    request, result)
+                if distance < best:
+                    best, names = float(distance), f'{capsule.name} to {obstacle.name}'
+        return best, names
+
+
+def _length(capsule: object) -> float:
+    return float(np.linalg.norm(capsule.end - capsule.start))  # type: ignore[attr-defined]
+
+
+def _rotation_to(direction: Array) -> Array:
+    """Return a rotation that takes z to `direction`."""
+    size = float(np.linalg.norm(direction))
+    if size < 1e-9:
+        return np.eye(3)
+    return pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction / size).matrix()

@@ -1,0 +1,168 @@
+"""Hard motions past obstacles, method by method: `python -m benchmark.scenarios --help`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+import json
+from pathlib import Path
+import time
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from benchmark.generator import DURATION, generate, Task
+from benchmark.judge import Judge, Verdict
+from redundant_planner.analysis.reproduce_paper import find_panda
+from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot import AXES, Robot
+from redundant_planner.resources import share_directory
+from redundant_planner.robot_parameters import load_robot
+
+Array = npt.NDArray[np.float64]
+
+DT = 0.004
+METHODS = {
+    'least_norm': PlannerParameters(k_w=0.0, k_f=0.0, safety_filter=False),
+    'gradient_projection': PlannerParameters(
+        method='gradient_projection', k_w=1.0, k_f=0.0, safety_filter=False),
+    'dynamic_factor_unfiltered': PlannerParameters(safety_filter=False),
+    'dynamic_factor': PlannerParameters(),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One method on one task.
+
+    Attributes:
+        task: its seed.
+        verdict: of the judge.
+        tracked: completed with s > 0.99 throughout and less than 1 mm off.
+        reasons: what the planner said, each once.
+        tick_us: (k,) time of every tick.
+    """
+
+    task: int
+    verdict: Verdict
+    tracked: bool
+    reasons: tuple[str, ...]
+    tick_us: Array
+
+
+def run_planner(
+    robot: Robot, parameters: PlannerParameters, judge: Judge, task: Task,
+) -> Outcome:
+    """Run the planner in closed loop with an ideal arm."""
+    planner = Planner(robot, parameters)
+    count = round(DURATION / DT)
+    postures = np.empty((count + 1, robot.n))
+    postures[0] = task.start
+    velocities, ticks = np.empty((count, robot.n)), np.empty(count)
+    scene = Scene.of(task.obstacles)
+    moving = any(o.velocity.any() for o in task.obstacles)
+    slowest, reasons = 1.0, {}
+    for i in range(count):
+        if moving:
+            scene = Scene.of(task.obstacles_at(i * DT))
+        begin = time.perf_counter()
+        result = planner.step(postures[i], task.twist_at(i * DT), scene, DT)
+        ticks[i] = time.perf_counter() - begin
+        velocities[i] = result.dq
+        postures[i + 1] = postures[i] + DT * result.dq
+        slowest = min(slowest, result.scale)
+        if result.reason:
+            reasons[result.reason] = None
+    verdict = judge.judge(task, postures, velocities, DT)
+    # At the very start s is below 1 while the arm takes up speed; the profile is smooth, so the
+    # end of the path tells whether anything was lost.
+    tracked = slowest > 0.99 and verdict.path_error < 1e-3 and verdict.completed
+    return Outcome(task.seed, verdict, tracked, tuple(reasons), 1e6 * ticks)
+
+
+def summarise(outcomes: list[Outcome]) -> dict[str, object]:
+    """Return the JSON entry of one method."""
+    verdicts = [o.verdict for o in outcomes]
+    ticks = np.concatenate([o.tick_us for o in outcomes])
+    return {
+        'collisions': sum(v.min_distance < 0.0 for v in verdicts),
+        'limit_violations': sum(v.limit_violation > 0.0 for v in verdicts),
+        'tracked': float(np.mean([o.tracked for o in outcomes])),
+        'max_path_error_mm': 1e3 * max(v.path_error for v in verdicts),
+        'max_final_error_mm': 1e3 * max(v.final_error for v in verdicts),
+        'min_distance_mm': 1e3 * min(v.min_distance for v in verdicts),
+        'cost_median': float(np.median([v.cost for v in verdicts])),
+        'path_median': float(np.median([v.path for v in verdicts])),
+        'tick_us_median': float(np.median(ticks)),
+        'tick_us_p99': float(np.percentile(ticks, 99)),
+        'count': len(outcomes),
+        'notable': [
+            {'seed': o.task, 'reasons': list(o.reasons)[:5], **asdict(o.verdict)}
+            for o in outcomes
+            if o.verdict.min_distance < 0.0 or o.verdict.limit_violation > 0.0
+            or o.verdict.path_error > 1e-3],
+    }
+
+
+def make_robot(name: str, axes: int) -> Robot:
+    """Return a robot of config/ with 3 or 6 controlled axes."""
+    if name == 'panda':
+        panda = find_panda(None)
+        if panda is None:
+            raise SystemExit('no Panda URDF: pip install example-robot-data')
+        return load_robot(share_directory() / 'config' / 'robots' / 'panda.yaml',
+                          urdf='', robot_description=panda.urdf, axes=AXES[:axes])
+    return load_robot(share_directory() / 'config' / 'robots' / 'paper_2p5r.yaml',
+                      axes=AXES[:axes], link_radius=0.03)
+
+
+def runners(robot: Robot, judge: Judge, names: list[str]) -> dict[
+        str, Callable[[Task], Outcome]]:
+    """Return method name → function of a task."""
+    return {name: (lambda task, p=METHODS[name]: run_planner(robot, p, judge, task))
+            for name in names}
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(prog='python -m benchmark.scenarios', description=__doc__)
+    parser.add_argument('--robot', choices=('panda', 'paper'), default='panda')
+    parser.add_argument('--axes', type=int, choices=(3, 6), default=6)
+    parser.add_argument('--count', type=int, default=50)
+    parser.add_argument('--seed', type=int, default=0, help='first seed')
+    parser.add_argument('--method', action='append', choices=METHODS,
+                        help='may be given more than once; all if not given')
+    parser.add_argument('--moving', action='store_true', help='obstacles move through the arm')
+    parser.add_argument('--json', type=Path)
+    options = parser.parse_args()
+    robot = make_robot(options.robot, options.axes)
+    judge = Judge(robot)
+    methods = runners(robot, judge, options.method or list(METHODS))
+    outcomes: dict[str, list[Outcome]] = {name: [] for name in methods}
+    for seed in track(range(options.seed, options.seed + options.count), 'scenarios'):
+        task = generate(robot, seed, moving=options.moving)
+        for name, run in methods.items():
+            outcomes[name].append(run(task))
+    result = {name: summarise(found) for name, found in outcomes.items()}
+
+    table = Table(title=f'{options.robot}, {options.axes} axes, {options.count} '
+                  f'{"moving" if options.moving else "static"} scenarios from seed {options.seed}')
+    table.add_column('method')
+    keys = [key for key in next(iter(result.values())) if key not in ('notable', 'count')]
+    for key in keys:
+        table.add_column(key.replace('_', ' '), justify='right')
+    for name, entry in result.items():
+        table.add_row(name, *(f'{entry[key]:.4g}' for key in keys))
+    Console(width=180).print(table)
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=2) + '\n')
+
+
+if __name__ == '__main__':
+    main()

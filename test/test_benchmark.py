@@ -1,0 +1,79 @@
+"""The scenario benchmark: its tasks are what they claim to be, and its judge measures right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sys
+
+from conftest import make_panda, make_planar, random_postures
+import numpy as np
+import pytest
+
+from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.robot import Capsule
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from benchmark.generator import DURATION, generate, Task
+from benchmark.judge import Judge
+from benchmark.scenarios import METHODS, run_planner, summarise
+
+
+@pytest.mark.parametrize('moving', [False, True])
+def test_a_seed_gives_the_same_task_and_its_start_is_clear(panda, moving):
+    for seed in range(4):
+        task, again = (generate(panda, seed, moving=moving) for _ in range(2))
+        np.testing.assert_array_equal(task.start, again.start)
+        np.testing.assert_array_equal(task.twist, again.twist)
+        assert 1 <= len(task.obstacles) <= 3
+        arm = panda.kinematics(task.start)
+        maps = whitening(Scene.of(task.obstacles), [c.radius + 0.03 for c in panda.capsules])
+        assert link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min() > 0.0
+        assert any(o.velocity.any() for o in task.obstacles) == moving
+        distance = 0.5 * DURATION * np.linalg.norm(task.twist[:3])
+        assert distance == 0.0 if moving and not task.twist.any() else 0.1 <= distance <= 0.3
+
+
+def test_the_judge_measures_exact_distances():
+    # A planar arm's capsules against a ball: distance between segment and centre less both radii.
+    links = [Capsule(f'l{i}', f'link{i}', np.zeros(3), np.array([x, 0, 0]), 0.05)
+             for i, x in ((1, 0.5), (2, 0.4), (3, 0.3))]
+    robot = make_planar(capsules=links)
+    judge = Judge(robot)
+    ball = Obstacle('ball', np.array([0.4, 0.3, 0.2]), np.full(3, 0.1))
+    for q in random_postures(robot, 10):
+        arm = robot.kinematics(q)
+        along = arm.segment_end - arm.segment_start
+        t = np.clip(((ball.center - arm.segment_start) * along).sum(1) / (along**2).sum(1), 0, 1)
+        nearest = arm.segment_start + t[:, None] * along
+        expected = np.linalg.norm(nearest - ball.center, axis=1).min() - 0.15
+        task = Task(0, q, np.zeros(6), (ball,))
+        verdict = judge.judge(task, np.array([q, q]), np.zeros((1, 3)), 0.004)
+        assert verdict.min_distance == pytest.approx(expected, abs=1e-4)
+        assert verdict.limit_violation == 0.0 and verdict.completed
+
+
+def test_the_judge_sees_every_kind_of_violation(planar):
+    judge = Judge(planar)
+    task = Task(0, np.zeros(3), np.zeros(6), ())
+    start = np.zeros((2, 3))
+    fast = np.array([[2.0 * 1.5, 0.0, 0.0]])
+    assert judge.judge(task, start, fast, 10.0).limit_violation == pytest.approx(0.5)
+    jump = np.array([[0.04, 0.0, 0.0]])
+    assert judge.judge(task, start, jump, 0.004).limit_violation == pytest.approx(1.0)
+    outside = np.array([[2.6, 0.0, 0.0], [2.6, 0.0, 0.0]])
+    verdict = judge.judge(Task(0, outside[0], np.zeros(6), ()), outside, np.zeros((1, 3)), 0.004)
+    assert verdict.limit_violation == pytest.approx(0.1)
+
+
+def test_the_filter_hits_nothing_where_the_least_norm_hits():
+    robot = make_panda()
+    judge = Judge(robot)
+    tasks = [generate(robot, seed) for seed in range(3)]
+    plain, safe = ([run_planner(robot, METHODS[name], judge, task) for task in tasks]
+                   for name in ('least_norm', 'dynamic_factor'))
+    assert summarise(plain)['collisions'] >= 2
+    result = summarise(safe)
+    assert result['collisions'] == 0 and result['limit_violations'] == 0
+    assert result['max_path_error_mm'] < 1.0
+    assert {'tracked', 'min_distance_mm', 'cost_median', 'path_median', 'tick_us_median',
+            'tick_us_p99'} <= set(result)
