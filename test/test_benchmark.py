@@ -40,7 +40,7 @@ def test_the_judge_measures_exact_distances():
     robot = make_planar(capsules=links)
     judge = Judge(robot)
     ball = Obstacle('ball', np.array([0.4, 0.3, 0.2]), np.full(3, 0.1))
-    for q in random_postures(robot, 10):
+    for q in random_postures(robot, 20):
         arm = robot.kinematics(q)
         along = arm.segment_end - arm.segment_start
         t = np.clip(((ball.center - arm.segment_start) * along).sum(1) / (along**2).sum(1), 0, 1)
@@ -48,7 +48,10 @@ def test_the_judge_measures_exact_distances():
         expected = np.linalg.norm(nearest - ball.center, axis=1).min() - 0.15
         task = Task(0, q, np.zeros(6), (ball,))
         verdict = judge.judge(task, np.array([q, q]), np.zeros((1, 3)), 0.004)
-        assert verdict.min_distance == pytest.approx(expected, abs=1e-4)
+        if expected < 0.2:
+            assert verdict.min_distance == pytest.approx(expected, abs=1e-4)
+        else:  # too far away to matter, and left out
+            assert verdict.min_distance > 0.2
         assert verdict.limit_violation == 0.0 and verdict.completed
 
 

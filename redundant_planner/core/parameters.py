@@ -193,6 +193,10 @@ class PlannerParameters:
     clearance_margin: float = parameter(
         0.01, low=0.0, high=1.0, unit='m', runtime=True,
         description='Distance kept between links and obstacles.')
+    self_collision_margin: float = parameter(
+        0.005, low=-1.0, high=1.0, unit='m', runtime=True,
+        description='Distance kept between links of the arm; -1 does not look at them. Too large, '
+                    'and the arm cannot fold.')
     singularity_margin: float = parameter(
         0.04, low=0.0, high=10.0, unit='m', runtime=True,
         description='Smallest singular value of J that the arm may go down to; 0 for none. '

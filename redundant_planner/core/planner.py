@@ -6,6 +6,7 @@ a section of docs/derivations.md and docs/safety.md.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from redundant_planner.core.obstacles import (
 )
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import Kinematics, Robot
+from redundant_planner.core.self_collision import distance_gradients, link_distances
 
 Array = npt.NDArray[np.float64]
 
@@ -33,6 +35,7 @@ Array = npt.NDArray[np.float64]
 _AT_REST = 1e-5
 # The singularity barrier is looked at below this multiple of its margin.
 _SINGULARITY_NEAR = 5.0
+_NO_PAIRS = np.empty(0, dtype=np.intp)
 
 
 class Nearest(NamedTuple):
@@ -85,8 +88,9 @@ class StepResult(NamedTuple):
 class Planner:
     """Velocity-level redundancy resolution for one robot.
 
-    Between ticks it remembers the last joint velocity and the reference pose, nothing else: the
-    same sequence of inputs gives the same sequence of outputs.
+    Between ticks it remembers the last joint velocity, the reference pose and when the links
+    were last measured against each other, nothing else: the same sequence of inputs gives the
+    same sequence of outputs.
     """
 
     def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
@@ -97,6 +101,11 @@ class Planner:
         """
         self.robot = robot
         self._maps_of: tuple[Scene, Whitening] | None = None
+        self._radii = np.array([c.radius for c in robot.capsules])
+        count = robot.capsule_joint_count[robot.self_pairs]
+        joints = np.arange(robot.n)
+        self._self_levers = robot.levers * (
+            (joints >= count.min(axis=0)[:, None]) & (joints < count.max(axis=0)[:, None]))
         self._points = np.arange(1, robot.n + 2).clip(max=robot.n)
         self._controlled = robot.full_twist(np.ones(robot.m)) > 0.0
         self.parameters = parameters
@@ -122,6 +131,7 @@ class Planner:
             raise ParameterError(f"parameter 'position_margin' is {margin}; joint '{name}' has "
                                  'no range left between its limits')
         self._parameters = parameters
+        self._self_known: tuple[Array, Array] | None = None
         self._weights = weights
         self._scaling = 1.0 / np.sqrt(weights)
         self._limits = safety.Limits(robot.position_min + margin, robot.position_max - margin,
@@ -133,6 +143,7 @@ class Planner:
         self._previous = np.zeros(self.robot.n)
         self._followed = np.zeros(self.robot.m)
         self._reference: Pose | None = None
+        self._self_known = None
 
     @property
     def reference(self) -> Pose | None:
@@ -229,8 +240,8 @@ class Planner:
     def _clearances(self, arm: Kinematics, scene: Scene) -> tuple[Whitening, Pairs]:
         """Return every link × every obstacle; links carry the clearance margin."""
         if self._maps_of is None or self._maps_of[0] is not scene:
-            radii = np.array([c.radius for c in self.robot.capsules])
-            self._maps_of = scene, whitening(scene, radii + self._parameters.clearance_margin)
+            self._maps_of = scene, whitening(
+                scene, self._radii + self._parameters.clearance_margin)
         maps = self._maps_of[1]
         return maps, link_clearance(maps, arm.segment_start, arm.segment_end)
 
@@ -279,16 +290,20 @@ class Planner:
         gradient, rate = clearance_gradients(
             maps, pairs, links, obstacles, arm.segment_start, arm.segment_end, arm.columns,
             self.robot.capsule_joint_count)
-        barriers = safety.Barriers(gradient, rate, pairs.clearance[links, obstacles])
+        clearance = pairs.clearance[links, obstacles]
         may_yield = self._parameters.path_priority == 'yield' and bool(
-            ((barriers.clearance < 0.0) | (barriers.drift < 0.0)).any())
+            ((clearance < 0.0) | (rate < 0.0)).any())
+        own, own_gradient, distance = self._self_clearances(arm, dt)
+        barriers = safety.Barriers(
+            np.concatenate((gradient, own_gradient)), np.append(rate, np.zeros(len(own))),
+            np.append(clearance, distance))
         exact = bool(parts.singular_values[-1] >= self._parameters.damping_threshold)
         result = safety.safe_velocity(
             desired, exact, arm.jacobian, task, arm.q, self._previous, self._limits, barriers,
             weights=self._weights, gain=self._parameters.barrier_gain,
             may_yield=may_yield, dt=dt, singularity=self._singularity(arm, parts))
         return result, self._reason(
-            result, bool(task.any()), links, obstacles, scene, dt)
+            result, bool(task.any()), lambda: self._pair_names(links, obstacles, own, scene), dt)
 
     def _singularity(
         self, arm: Kinematics, parts: null_space.Decomposition,
@@ -303,9 +318,49 @@ class Planner:
         columns = self._jacobian_derivative(arm, self._scaling * parts.right[-1])
         return safety.SingularityBarrier(parts.left[:, -1] @ columns, float(smallest - margin))
 
+    def _self_clearances(
+        self, arm: Kinematics, dt: float,
+    ) -> tuple[npt.NDArray[np.intp], Array, Array]:
+        """Return the pairs of links that may meet in this tick, their gradients and distances.
+
+        Links found closer than the margin may stay so, they only may not get closer: capsules
+        are fatter than links, and an arm must not start to move by itself because of it.
+        """
+        robot, margin = self.robot, self._parameters.self_collision_margin
+        first, second = robot.self_pairs
+        if margin <= -1.0 or not len(first):
+            return _NO_PAIRS, np.empty((0, robot.n)), np.empty(0)
+        rate, fastest = self._reach(dt)
+        # A pair's distance falls by no more than the joints between its links have moved: as
+        # long as that settles it, nothing needs to be measured.
+        reach = (self._self_levers @ fastest) / rate
+        if self._self_known is not None:
+            known_at, known = self._self_known
+            if (known - self._self_levers @ np.abs(arm.q - known_at) > reach).all():
+                return _NO_PAIRS, np.empty((0, robot.n)), np.empty(0)
+        pairs = link_distances(
+            arm.segment_start, arm.segment_end, self._radii + margin / 2.0, first, second)
+        self._self_known = arm.q, pairs.distance
+        near = np.flatnonzero(pairs.distance <= reach)
+        gradient = distance_gradients(
+            pairs, near, first, second, arm.columns, robot.capsule_joint_count)
+        return near, gradient, np.maximum(pairs.distance[near], 0.0)
+
+    def _pair_names(
+        self, links: npt.NDArray[np.intp], obstacles: npt.NDArray[np.intp],
+        own: npt.NDArray[np.intp], scene: Scene,
+    ) -> list[str]:
+        """Name the barriers in their order, as sentences' parts."""
+        names = [capsule.name for capsule in self.robot.capsules]
+        found = [f"link '{names[link]}' near obstacle '{scene.names[obstacle]}'"
+                 for link, obstacle in zip(links, obstacles)]
+        found += [f"link '{names[i]}' near link '{names[j]}'"
+                  for i, j in self.robot.self_pairs[:, own].T]
+        return [*found, 'near a singularity']
+
     def _reason(
-        self, result: safety.Filtered, commanded: bool, links: npt.NDArray[np.intp],
-        obstacles: npt.NDArray[np.intp], scene: Scene, dt: float,
+        self, result: safety.Filtered, commanded: bool, pair_names: Callable[[], list[str]],
+        dt: float,
     ) -> str:
         """Say what holds the arm back; the drives' own way to speed up and stop does not count."""
         harmless = (safety.Stage.DESIRED, safety.Stage.SCALED, safety.Stage.BRAKING)
@@ -317,8 +372,8 @@ class Planner:
         if len(result.joints) and not at_limit and not len(result.pairs):  # speeding up
             return ''
         names = [f"joint '{self.robot.joint_names[i]}' at its limit" for i in at_limit]
-        names += [f"link '{self.robot.capsules[links[i]].name}' near obstacle "
-                  f"'{scene.names[obstacles[i]]}'" for i in result.pairs if i < len(links)]
+        pairs = pair_names() if len(result.pairs) else []
+        names += [pairs[i] for i in result.pairs]
         return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
 
     def _pairs_in_reach(
@@ -329,15 +384,20 @@ class Planner:
         No point of a link moves faster than Σ |q̇_j| lever_j, and ρ falls by at most that times
         1 / (smallest semi-axis).
         """
-        robot, p = self.robot, self._parameters
+        rate, fastest = self._reach(dt)
+        speed = float(fastest @ self.robot.levers)
+        links, obstacles = np.nonzero(
+            rate * pairs.clearance <= (speed + maps.speeds) * maps.steepest)
+        return links, obstacles
+
+    def _reach(self, dt: float) -> tuple[float, Array]:
+        """Return the barriers' rate [1/s] and the fastest the joints may move next tick (n,)."""
+        robot = self.robot
         stop = safety.stopping_time(self._previous, robot.acceleration_max) + dt
         fastest = np.minimum(
             np.abs(self._previous) + robot.acceleration_max * dt, robot.velocity_max)
-        speed = float(fastest @ robot.levers) + maps.speeds
-        rate = safety.barrier_rate(p.barrier_gain, stop, dt)
-        links, obstacles = np.nonzero(
-            rate * pairs.clearance <= speed * maps.steepest)
-        return links, obstacles
+        rate = safety.barrier_rate(self._parameters.barrier_gain, stop, dt)
+        return rate, fastest
 
     def _nearest(self, maps: Whitening, pairs: Pairs, scene: Scene) -> Nearest | None:
         if not pairs.clearance.size:

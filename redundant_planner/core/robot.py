@@ -11,13 +11,18 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from redundant_planner.core.errors import known, ObstacleError, RobotError, StateError
+from redundant_planner.core.self_collision import link_distances
 
 Array = npt.NDArray[np.float64]
 
 AXES = ('vx', 'vy', 'vz', 'wx', 'wy', 'wz')
 COMMAND_FRAMES = ('base', 'tool')
 
-_MOVABLE = ('revolute', 'prismatic', 'continuous')
+# How pairs of links are chosen for self-collision: random postures looked at, the share of them
+# above which an overlap is by construction, and the distance [m] that counts as never near.
+_PAIR_SAMPLES = 500
+_TOUCH_SHARE = 0.1
+_NEVER_NEAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,7 @@ class Robot:
         position_min, position_max: (n,) [rad, m], infinite for continuous joints.
         velocity_max, acceleration_max: (n,) [rad/s, m/s; per s²].
         capsules: the link shapes.
+        self_pairs: (2, p) indices of the capsules that can run into each other.
         levers: (n,) the fastest any point of a capsule moves per unit of joint velocity, at any
             posture: a bound [m/rad, 1 for prismatic joints].
     """
@@ -171,6 +177,7 @@ class Robot:
             self._default_capsules(link_radius) if capsules is None else capsules)
         self._place_capsules()
         self.levers = self._levers()
+        self.self_pairs = self._self_pairs()
 
     @property
     def n(self) -> int:
@@ -307,6 +314,31 @@ class Robot:
             levers[i] = beyond if revolute[i] else 1.0
             beyond += length[i] + stroke[i]
         return _read_only(levers)
+
+
+    def _self_pairs(self) -> npt.NDArray[np.intp]:
+        """Pair the capsules that can run into each other, judged by random postures.
+
+        Left out are those on the same link or on neighbouring ones, which touch at their joint;
+        those that overlap at many postures, whose shapes do so by construction; and those two
+        joints apart that never come near each other.
+        """
+        first, second = np.triu_indices(len(self.capsules), 1)
+        between = np.abs(self._capsule_joint[first] - self._capsule_joint[second])
+        radii = np.array([c.radius for c in self.capsules])
+        low = np.where(np.isfinite(self.position_min), self.position_min, -np.pi)
+        high = np.where(np.isfinite(self.position_max), self.position_max, np.pi)
+        random = np.random.default_rng(0)
+        distances = []
+        for _ in range(_PAIR_SAMPLES if (between > 1).any() else 0):
+            arm = self.kinematics(random.uniform(low, high))
+            distances.append(link_distances(
+                arm.segment_start, arm.segment_end, radii, first, second).distance)
+        sampled = np.array(distances).reshape(-1, len(first))
+        touching = (sampled < 0.0).sum(axis=0) > _TOUCH_SHARE * _PAIR_SAMPLES
+        never = (between == 2) & (sampled > _NEVER_NEAR).all(axis=0)
+        keep = (between > 1) & ~touching & ~never
+        return np.array((first[keep], second[keep]))
 
 
 def _read_only(array: Array) -> Array:
