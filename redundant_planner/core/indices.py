@@ -1,4 +1,4 @@
-"""Performance indices: each function returns a value and its gradient in q.
+"""Performance indices: each function returns a value and its gradient.
 
 Sign convention of the whole package: ∇H points where the arm should go. `clearance_index` is
 to be maximised; `joint_limit_index` and `shortest_path_index` are to be minimised and enter the
@@ -7,10 +7,12 @@ sum of Eq. 18 with a minus sign, in `total_gradient` and nowhere else.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles import clearance_gradients, Pairs, pseudo_distance, Whitening
+from redundant_planner.core.obstacles import Pairs, pseudo_distance, Whitening
 
 Array = npt.NDArray[np.float64]
 
@@ -34,59 +36,46 @@ def joint_limit_index(q: Array, position_min: Array, position_max: Array) -> tup
 
 
 def clearance_index(
-    maps: Whitening, pairs: Pairs, start: Array, end: Array, columns: Array,
-    joint_count: npt.NDArray[np.intp], *, smoothing: float = 0.0,
+    maps: Whitening, pairs: Pairs, *, smoothing: float = 0.0,
     influence_distance: float = np.inf,
 ) -> tuple[float, Array]:
-    """Return H_w of Eq. 7, the smallest S over all links and obstacles, and its gradient.
+    """Return H_w of Eq. 7, the smallest S over all links and obstacles, and ∂H_w/∂ρ per pair.
 
-    The minimum is smoothed to −w ln Σ exp(−S_i/w), so that the gradient turns over gradually
-    where the nearest pair changes; w = 0 is Eq. 7 to the letter. S grows with distance squared
-    and so does ∇S: each pair's share is therefore faded in, from nothing at the influence
-    distance to everything at contact. An infinite influence distance is Eq. 7 to the letter.
+    The gradient in q is the sum of ∂H_w/∂ρ · ∂ρ/∂q over the pairs (`clearance_gradients`), of
+    which few count. The minimum is smoothed to −w ln Σ exp(−S_i/w), so that the gradient turns
+    over gradually where the nearest pair changes; w = 0 is Eq. 7 to the letter. S grows with
+    distance squared and so does ∇S: each pair's share is therefore faded in, from nothing at the
+    influence distance to everything at contact. An infinite influence distance is Eq. 7 to the
+    letter.
 
     Args:
-        maps: from `whitening`, one row of scales per segment.
+        maps: from `whitening`, one row of scales per segment; the joints of Eq. 7 are segments
+            of no length.
         pairs: from `link_clearance` of these segments.
-        start, end: (c, 3) segments in the base frame [m]; the joints of Eq. 7 are segments of
-            no length.
-        columns: (6, n) joint screws at the base origin.
-        joint_count: (c,) how many leading joints move each segment.
         smoothing: w [unit of S].
         influence_distance: [m].
 
     Returns:
-        H_w (infinite without obstacles), and (n,) its gradient after fading.
+        H_w (infinite without obstacles), and (c, k) its slopes, zero for pairs that do not count.
     """
-    gradient = np.zeros(columns.shape[1])
     if not pairs.clearance.size:
-        return np.inf, gradient
+        return np.inf, np.zeros(pairs.clearance.shape)
     levels = pseudo_distance(pairs.clearance)
     lowest = float(levels.min())
     if smoothing > 0.0:
         excess = (levels - lowest) / smoothing
-        links, obstacles = np.nonzero(excess < _NEGLIGIBLE)
-        weights = np.exp(-excess[links, obstacles])
+        weights = np.exp(-excess)
+        weights[excess > _NEGLIGIBLE] = 0.0
         total = float(weights.sum())
         weights /= total
-        value = lowest - smoothing * float(np.log(total))
+        value = lowest - smoothing * math.log(total)
     else:
-        first = int(levels.argmin())
-        links, obstacles = (np.array([i]) for i in divmod(first, levels.shape[1]))
-        weights, value = np.ones(1), lowest
+        weights, value = np.zeros(levels.shape), lowest
+        weights.flat[int(levels.argmin())] = 1.0
     if np.isfinite(influence_distance):
         # ρ times the smallest semi-axis never exceeds the distance to the surface.
-        distance = pairs.clearance[links, obstacles] / maps.steepest[links, obstacles]
-        weights = weights * _fade(distance / influence_distance)
-    acting = weights > 0.0
-    if not acting.any():
-        return value, gradient
-    links, obstacles, weights = links[acting], obstacles[acting], weights[acting]
-    slopes, _ = clearance_gradients(
-        maps, pairs, links, obstacles, start, end, columns, joint_count)
-    # ∇S = 2 (ρ + 1) ∇ρ
-    weights = weights * 2.0 * (pairs.clearance[links, obstacles] + 1.0)
-    return value, weights @ slopes
+        weights *= _fade(pairs.clearance / (maps.steepest * influence_distance))
+    return value, weights * (2.0 * (pairs.clearance + 1.0))  # ∂S/∂ρ = 2 (ρ + 1)
 
 
 def shortest_path_index(

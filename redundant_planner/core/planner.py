@@ -53,6 +53,23 @@ class Nearest(NamedTuple):
     distance: float
 
 
+class _Near(NamedTuple):
+    """The pairs of links and obstacles that could act in a tick.
+
+    Attributes:
+        links, obstacles: (p,) indices.
+        clearance: (p,) ρ.
+        gradient: (p, n) ∂ρ/∂q.
+        rate: (p,) ∂ρ/∂t from the obstacles' own motion [1/s].
+    """
+
+    links: npt.NDArray[np.intp]
+    obstacles: npt.NDArray[np.intp]
+    clearance: Array
+    gradient: Array
+    rate: Array
+
+
 class StepResult(NamedTuple):
     """What one tick decided; arrays are the caller's to keep.
 
@@ -183,8 +200,13 @@ class Planner:
 
         # ∇H, Eq. 18, and k P∇H, Eqs. 1 and 2.
         maps, pairs = self._clearances(arm, scene)
-        level, gradient = self._total_gradient(arm, maps, pairs, scene, parts, gains, least_norm,
-                                               task)
+        level, slopes = self._clearance_index(maps, pairs)
+        near = self._near(arm, maps, pairs, slopes, dt)
+        if p.clearance_points == 'joints':
+            level, clearance = self._clearance_of_joints(arm, scene)
+        else:
+            clearance = slopes[near.links, near.obstacles] @ near.gradient
+        gradient = self._total_gradient(arm, clearance, parts, gains, least_norm, task)
         projected = null_space.project(parts, gradient * self._scaling)
         factor = p.k_fixed
         if p.method == 'dynamic_factor':
@@ -197,7 +219,8 @@ class Planner:
         scale, stage, reason, coasting = 1.0, safety.Stage.DESIRED, '', self._followed
         self._followed = arm.jacobian @ dq - robot.task_rows(correction)
         if p.safety_filter:
-            result, reason = self._filtered(dq, parts, arm, task, maps, pairs, scene, dt)
+            result, reason = self._filtered(
+                dq, parts, arm, task, near, scene, bool(command.any()), dt)
             dq, scale, stage = result.dq, result.scale, result.stage
             # What was followed of the path; neither the way back to it nor what was yielded.
             self._followed = scale * robot.task_rows(command) + result.coast * coasting
@@ -245,32 +268,61 @@ class Planner:
         maps = self._maps_of[1]
         return maps, link_clearance(maps, arm.segment_start, arm.segment_end)
 
+    def _clearance_index(self, maps: Whitening, pairs: Pairs) -> tuple[float, Array]:
+        """Return H_w of Eq. 7 and its slopes in every pair's ρ."""
+        p = self._parameters
+        if p.k_w == 0.0 or p.clearance_points == 'joints':
+            return np.inf, np.zeros(pairs.clearance.shape)
+        return indices.clearance_index(maps, pairs, smoothing=p.clearance_smoothing,
+                                       influence_distance=p.influence_distance)
+
+    def _clearance_of_joints(self, arm: Kinematics, scene: Scene) -> tuple[float, Array]:
+        """Return H_w and ∇H_w over the joints alone, as the paper takes them."""
+        p, points = self._parameters, arm.joint_points
+        maps = whitening(scene, np.zeros(len(points)))
+        pairs = link_clearance(maps, points, points)
+        level, slopes = indices.clearance_index(
+            maps, pairs, smoothing=p.clearance_smoothing, influence_distance=p.influence_distance)
+        links, obstacles = np.nonzero(slopes)
+        gradient, _ = clearance_gradients(
+            maps, pairs, links, obstacles, points, points, arm.columns, self._points)
+        return level, slopes[links, obstacles] @ gradient
+
+    def _near(
+        self, arm: Kinematics, maps: Whitening, pairs: Pairs, slopes: Array, dt: float,
+    ) -> _Near:
+        """Return the pairs that could act in this tick, all of them, and their gradients.
+
+        Those are the pairs that count in H_w, and those whose barrier could act: no point of a
+        link moves faster than Σ |q̇_j| lever_j, and ρ falls by at most that times
+        1 / (smallest semi-axis).
+        """
+        chosen = slopes > 0.0
+        if self._parameters.safety_filter:
+            rate, fastest = self._reach(dt)
+            speed = float(fastest @ self.robot.levers)
+            chosen |= rate * pairs.clearance <= (speed + maps.speeds) * maps.steepest
+        links, obstacles = np.nonzero(chosen)
+        gradient, drift_rate = clearance_gradients(
+            maps, pairs, links, obstacles, arm.segment_start, arm.segment_end, arm.columns,
+            self.robot.capsule_joint_count)
+        return _Near(links, obstacles, pairs.clearance[links, obstacles], gradient, drift_rate)
+
     def _total_gradient(
-        self, arm: Kinematics, maps: Whitening, pairs: Pairs, scene: Scene,
-        parts: null_space.Decomposition, gains: Array, least_norm: Array, task: Array,
-    ) -> tuple[float, Array]:
-        """Return H_w and ∇H; an index of no weight costs nothing."""
-        p, robot, nothing = self._parameters, self.robot, np.zeros(self.robot.n)
-        level, clearance = np.inf, nothing
-        if p.k_w > 0.0 and scene.names:
-            start, end, count = (arm.segment_start, arm.segment_end, robot.capsule_joint_count)
-            if p.clearance_points == 'joints':
-                start, end, count = arm.joint_points, arm.joint_points, self._points
-                maps = whitening(scene, np.zeros(len(start)))
-                pairs = link_clearance(maps, start, end)
-            level, clearance = indices.clearance_index(
-                maps, pairs, start, end, arm.columns, count, smoothing=p.clearance_smoothing,
-                influence_distance=p.influence_distance)
-        joint_limit = nothing
+        self, arm: Kinematics, clearance: Array, parts: null_space.Decomposition, gains: Array,
+        least_norm: Array, task: Array,
+    ) -> Array:
+        """Return ∇H of Eq. 18; an index of no weight costs nothing."""
+        p, robot = self._parameters, self.robot
+        joint_limit = shortest_path = self._previous * 0.0
         if p.k_s > 0.0:
             _, joint_limit = indices.joint_limit_index(
                 arm.q, robot.position_min, robot.position_max)
-        shortest_path = nothing
         if p.k_f > 0.0:
             dual = parts.left @ (gains * gains * (parts.left.T @ task))
             _, shortest_path = indices.shortest_path_index(
                 least_norm, dual, self._jacobian_derivative(arm, self._scaling * least_norm))
-        return level, indices.total_gradient(
+        return indices.total_gradient(
             clearance, joint_limit, shortest_path, k_w=p.k_w, k_s=p.k_s, k_f=p.k_f)
 
     def _jacobian_derivative(self, arm: Kinematics, dq: Array) -> Array:
@@ -283,27 +335,24 @@ class Planner:
 
     def _filtered(
         self, desired: Array, parts: null_space.Decomposition, arm: Kinematics, task: Array,
-        maps: Whitening, pairs: Pairs, scene: Scene, dt: float,
+        near: _Near, scene: Scene, commanded: bool, dt: float,
     ) -> tuple[safety.Filtered, str]:
         """Pass the desired velocity through the safety filter and name what acted."""
-        links, obstacles = self._pairs_in_reach(maps, pairs, dt)
-        gradient, rate = clearance_gradients(
-            maps, pairs, links, obstacles, arm.segment_start, arm.segment_end, arm.columns,
-            self.robot.capsule_joint_count)
-        clearance = pairs.clearance[links, obstacles]
         may_yield = self._parameters.path_priority == 'yield' and bool(
-            ((clearance < 0.0) | (rate < 0.0)).any())
+            ((near.clearance < 0.0) | (near.rate < 0.0)).any())
         own, own_gradient, distance = self._self_clearances(arm, dt)
-        barriers = safety.Barriers(
-            np.concatenate((gradient, own_gradient)), np.append(rate, np.zeros(len(own))),
-            np.append(clearance, distance))
+        barriers = safety.Barriers(near.gradient, near.rate, near.clearance)
+        if len(own):
+            barriers = safety.Barriers(
+                np.concatenate((near.gradient, own_gradient)),
+                np.append(near.rate, np.zeros(len(own))), np.append(near.clearance, distance))
         exact = bool(parts.singular_values[-1] >= self._parameters.damping_threshold)
         result = safety.safe_velocity(
             desired, exact, arm.jacobian, task, arm.q, self._previous, self._limits, barriers,
             weights=self._weights, gain=self._parameters.barrier_gain,
             may_yield=may_yield, dt=dt, singularity=self._singularity(arm, parts))
         return result, self._reason(
-            result, bool(task.any()), lambda: self._pair_names(links, obstacles, own, scene), dt)
+            result, commanded, lambda: self._pair_names(near, own, scene), dt)
 
     def _singularity(
         self, arm: Kinematics, parts: null_space.Decomposition,
@@ -347,13 +396,12 @@ class Planner:
         return near, gradient, np.maximum(pairs.distance[near], 0.0)
 
     def _pair_names(
-        self, links: npt.NDArray[np.intp], obstacles: npt.NDArray[np.intp],
-        own: npt.NDArray[np.intp], scene: Scene,
+        self, near: _Near, own: npt.NDArray[np.intp], scene: Scene,
     ) -> list[str]:
         """Name the barriers in their order, as sentences' parts."""
         names = [capsule.name for capsule in self.robot.capsules]
         found = [f"link '{names[link]}' near obstacle '{scene.names[obstacle]}'"
-                 for link, obstacle in zip(links, obstacles)]
+                 for link, obstacle in zip(near.links, near.obstacles)]
         found += [f"link '{names[i]}' near link '{names[j]}'"
                   for i, j in self.robot.self_pairs[:, own].T]
         return [*found, 'near a singularity']
@@ -375,20 +423,6 @@ class Planner:
         pairs = pair_names() if len(result.pairs) else []
         names += [pairs[i] for i in result.pairs]
         return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
-
-    def _pairs_in_reach(
-        self, maps: Whitening, pairs: Pairs, dt: float,
-    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Return the pairs whose barrier could act in this tick, all of them.
-
-        No point of a link moves faster than Σ |q̇_j| lever_j, and ρ falls by at most that times
-        1 / (smallest semi-axis).
-        """
-        rate, fastest = self._reach(dt)
-        speed = float(fastest @ self.robot.levers)
-        links, obstacles = np.nonzero(
-            rate * pairs.clearance <= (speed + maps.speeds) * maps.steepest)
-        return links, obstacles
 
     def _reach(self, dt: float) -> tuple[float, Array]:
         """Return the barriers' rate [1/s] and the fastest the joints may move next tick (n,)."""

@@ -69,7 +69,7 @@ class FakeHardwareParameters:
     """
 
     rate: int = parameter(
-        500, low=1, high=1000, unit='Hz', description='Rate of joint_states.')
+        250, low=1, high=1000, unit='Hz', description='Rate of joint_states.')
     command_timeout: float = parameter(
         0.05, low=0.001, high=10.0, unit='s',
         description='The arm holds still when no joint_command came for this long.')

@@ -9,7 +9,7 @@ from test_obstacles import random_scene
 
 from redundant_planner.core import indices, null_space as ns
 from redundant_planner.core.jacobian import jacobian_derivative_times, tool_derivative_times
-from redundant_planner.core.obstacles import link_clearance, Scene, whitening
+from redundant_planner.core.obstacles import clearance_gradients, link_clearance, Scene, whitening
 
 
 def test_joint_limit_index_is_equation_3(robot):
@@ -36,7 +36,11 @@ def clearance_of(robot, q, obstacles, points, **options):
         count = np.minimum(np.arange(1, robot.n + 2), robot.n)
     maps = whitening(scene, radii)
     pairs = link_clearance(maps, start, end)
-    return indices.clearance_index(maps, pairs, start, end, arm.columns, count, **options)
+    value, slopes = indices.clearance_index(maps, pairs, **options)
+    links, which = np.nonzero(slopes)
+    gradient, _ = clearance_gradients(
+        maps, pairs, links, which, start, end, arm.columns, count)
+    return value, slopes[links, which] @ gradient
 
 
 @pytest.mark.parametrize('points', ['links', 'joints'])
