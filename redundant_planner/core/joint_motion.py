@@ -39,6 +39,20 @@ class PositionCommand:
         return self._q.copy()
 
 
+def has_jumped(
+    before: Array, after: Array, velocity_max: Array, elapsed: float, tolerance: float,
+) -> bool:
+    """Return whether an arm was moved, or restarted elsewhere, rather than having moved.
+
+    Args:
+        before, after: (n,) successive measurements [rad, m].
+        velocity_max: (n,) [rad/s, m/s].
+        elapsed: time between them [s].
+        tolerance: [rad, m], for noise and late messages.
+    """
+    return bool((np.abs(after - before) > velocity_max * elapsed + tolerance).any())
+
+
 @dataclass(frozen=True)
 class JointRanges:
     """The movable joints of a URDF, in the order in which they are written there.

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import PlannerError, StateError
-from redundant_planner.core.joint_motion import PositionCommand
+from redundant_planner.core.joint_motion import has_jumped, PositionCommand
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner, StepResult
 from redundant_planner.core.robot import Robot
@@ -129,7 +129,13 @@ class PlannerNode(process.EndableNode):
         except StateError as error:
             self._warn(f'joint_states ignored: {error}')
             return
-        self._q, self._q_time = q, time.monotonic()
+        now = time.monotonic()
+        if self._q is not None and has_jumped(
+                self._q, q, self.robot.velocity_max, now - self._q_time,
+                self._settings.position_tolerance):
+            self._warn('joint_states jumped: the motion starts again from where the arm is')
+            self._start_again()
+        self._q, self._q_time = q, now
 
     def _on_obstacles(self, message: MarkerArray) -> None:
         for problem in self._obstacles.update(message, time.monotonic()):
@@ -155,6 +161,9 @@ class PlannerNode(process.EndableNode):
         self._warn(f'no usable joint_states for {self._settings.joint_state_timeout:g} s: stopped')
         self._publish(np.zeros(self.robot.n))
         self._q = None
+        self._start_again()
+
+    def _start_again(self) -> None:
         self._twist_time = -np.inf
         self._position_command.reset()
         assert self._planner is not None

@@ -44,8 +44,9 @@ class PlannerNodeParameters:
                     'published until they are back.')
     position_tolerance: float = parameter(
         0.1, low=1e-3, high=10.0, unit='rad, m',
-        description='The commanded positions start again from the measured ones when they are '
-                    'further apart than this.')
+        description='Everything starts again from the measured posture when it jumps by more than '
+                    'this beyond what the arm can travel, and the commanded positions when they '
+                    'are further from it than this.')
     thread_priority: int = parameter(
         40, low=0, high=98,
         description='Real-time priority (SCHED_FIFO) of the loop, where the system grants it; 0 '

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.errors import RobotError
-from redundant_planner.core.joint_motion import joint_ranges, PositionCommand, SimulatedArm
+from redundant_planner.core.joint_motion import (
+    has_jumped,
+    joint_ranges,
+    PositionCommand,
+    SimulatedArm,
+)
 
 
 def make_arm(**start):
@@ -99,3 +104,9 @@ def test_position_command_stays_inside_the_limits_and_starts_again_when_lost():
 def test_position_command_does_not_pull_an_arm_found_outside_its_limits():
     command = PositionCommand(np.full(1, -1.0), np.full(1, 1.0), tolerance=0.1)
     assert command.advance(np.array([1.05]), np.array([0.0]), 0.01) == pytest.approx(1.05)
+
+
+@pytest.mark.parametrize(('step', 'jumped'), [(0.05, False), (0.29, False), (0.31, True)])
+def test_a_jump_is_more_than_the_arm_can_travel(step, jumped):
+    after = np.array([0.0, -step])
+    assert has_jumped(np.zeros(2), after, np.full(2, 2.0), 0.1, 0.1) is jumped

@@ -141,6 +141,28 @@ def test_nothing_is_said_before_a_state_and_bad_input_hurts_nobody():
         assert planner.poll() is None
 
 
+def test_an_arm_that_restarts_elsewhere_is_not_pulled_back():
+    robot = make_paper_arm()
+    names = list(robot.joint_names)
+    with station() as (ros, processes):
+        processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
+        here = np.array([PAPER_START.get(name, 0.0) for name in names])
+        there = here + np.array([0.1, 0.1, 0.0, 0.2, 0.0, 0.0, 0.0])
+
+        def hold(q, seconds):
+            begin = time.monotonic()
+            while time.monotonic() - begin < seconds:
+                ros.joint_states.publish(JointState(name=names, position=q.tolist()))
+                ros.drive(np.zeros(6), 0.01)
+
+        deadline = time.monotonic() + PATIENCE
+        while not ros.commands and time.monotonic() < deadline:
+            hold(here, 0.05)
+        hold(there, 0.5)
+        assert not any(np.any(m.velocity) for m in ros.commands)
+        np.testing.assert_allclose(ros.commands[-1].position, there)
+
+
 def test_an_interrupt_in_motion_ends_in_a_stop_and_a_clean_exit():
     with station() as (ros, processes):
         processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
