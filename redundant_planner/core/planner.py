@@ -314,7 +314,7 @@ class Planner:
     ) -> Array:
         """Return ∇H of Eq. 18; an index of no weight costs nothing."""
         p, robot = self._parameters, self.robot
-        joint_limit = shortest_path = self._previous * 0.0
+        joint_limit = shortest_path = np.zeros(robot.n)
         if p.k_s > 0.0:
             _, joint_limit = indices.joint_limit_index(
                 arm.q, robot.position_min, robot.position_max)
