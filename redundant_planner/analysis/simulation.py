@@ -54,5 +54,6 @@ def simulate(
         result = planner.step(positions[i], twist_at(i * dt), scene, dt)
         positions[i + 1] = positions[i] + dt * result.dq
         results.append(result)
-    return Motion(np.linspace(0.0, count * dt, count + 1), positions,
+    times: Array = np.linspace(0.0, count * dt, count + 1, dtype=np.float64)
+    return Motion(times, positions,
                   np.array([r.dq for r in results]), tuple(results))

@@ -58,6 +58,7 @@ def pose_error(reference: Pose, actual: Pose, command_frame: str) -> Array:
     rotation vector of the remaining rotation.
     """
     displacement = reference.position - actual.position
+    rotation: Array
     if reference.rotation is actual.rotation:
         rotation = np.zeros(3)
     else:

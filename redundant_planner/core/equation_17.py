@@ -98,7 +98,7 @@ def as_time_derivative(
 
 def _solved(matrix: Array, right: Array, projector: Array) -> Equation17:
     # Round-off leaves singular values of some 1e-16 where there are none.
-    gradient = np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
+    gradient = np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-10)[0], dtype=np.float64)
     values = np.linalg.svd(matrix, compute_uv=False)
     return Equation17(
         matrix, gradient, float(np.linalg.norm(projector @ gradient)),

@@ -158,7 +158,7 @@ class Planner:
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
         self._previous = np.zeros(self.robot.n)
-        self._followed = np.zeros(self.robot.m)
+        self._followed: Array = np.zeros(self.robot.m)
         self._reference: Pose | None = None
         self._self_known = None
 
@@ -314,7 +314,8 @@ class Planner:
     ) -> Array:
         """Return ∇H of Eq. 18; an index of no weight costs nothing."""
         p, robot = self._parameters, self.robot
-        joint_limit = shortest_path = np.zeros(robot.n)
+        joint_limit: Array = np.zeros(robot.n)
+        shortest_path: Array = np.zeros(robot.n)
         if p.k_s > 0.0:
             _, joint_limit = indices.joint_limit_index(
                 arm.q, robot.position_min, robot.position_max)

@@ -270,7 +270,7 @@ def _solve(
     n = jacobian.shape[1]
     slack = stage is Stage.FORCED
     size = n + 1 + (coasting is not None) + slack
-    path = np.zeros((len(jacobian), size))
+    path: Array = np.zeros((len(jacobian), size))
     path[:, :n] = jacobian
     path[:, n] = -twist
     hessian = np.zeros((size, size))

@@ -6,6 +6,7 @@ from collections import deque
 import time
 
 import numpy as np
+import numpy.typing as npt
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
 from sensor_msgs.msg import JointState
@@ -17,6 +18,8 @@ from redundant_planner.nodes import messages, process
 from redundant_planner.nodes.ros_parameters import declare, FakeHardwareParameters
 from redundant_planner.resources import resolve
 from redundant_planner.robot_parameters import RobotParameters
+
+Array = npt.NDArray[np.float64]
 
 
 class FakeHardwareNode(process.EndableNode):
@@ -40,7 +43,7 @@ class FakeHardwareNode(process.EndableNode):
         self._noise = settings.noise
         self._random = np.random.default_rng(0)
         self._lag = settings.lag
-        self._delayed: deque[tuple[float, np.ndarray]] = deque()
+        self._delayed: deque[tuple[float, Array]] = deque()
 
         self._publisher = self.create_publisher(JointState, 'joint_states', 10)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -59,7 +59,7 @@ class PlannerNode(process.EndableNode):
         self._planner: Planner | None = None
         self._q: Array | None = None
         self._q_time = 0.0
-        self._twist = np.zeros(6)
+        self._twist: Array = np.zeros(6)
         self._twist_time = -np.inf
         self._reason = ''
         self._period = 1.0 / self._settings.rate
