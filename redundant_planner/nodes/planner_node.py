@@ -8,6 +8,7 @@ from geometry_msgs.msg import Twist
 import numpy as np
 import numpy.typing as npt
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -33,6 +34,11 @@ Array = npt.NDArray[np.float64]
 
 # Warnings that a stream of bad messages would repeat are said this often at most [s].
 _WARN_PERIOD = 1.0
+# The stop at the end: how often it is said, with what pauses [s], and how long an
+# acknowledgement may take [s].
+_LAST_WORDS = 3
+_PAUSE = 0.01
+_ACKNOWLEDGED = 0.3
 
 
 class PlannerNode(process.EndableNode):
@@ -185,9 +191,17 @@ class PlannerNode(process.EndableNode):
         self._reason = result.reason
 
     def finish(self) -> None:
-        """Leave the arm with a stop as its last command."""
-        if self._q is not None:
+        """Leave the arm with a stop as its last command, and with time to hear it.
+
+        Destroyed at once, a publisher takes messages with it that are still on their way;
+        best-effort listeners do not acknowledge and are told more than once.
+        """
+        if self._q is None:
+            return
+        for _ in range(_LAST_WORDS):
             self._publish(np.zeros(self.robot.n))
+            time.sleep(_PAUSE)
+        self._publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED))
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text, throttle_duration_sec=_WARN_PERIOD)

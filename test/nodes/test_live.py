@@ -202,10 +202,16 @@ def test_the_fake_arm_keeps_its_limits_and_refuses_strangers():
 def set_parameter(ros, name, value):
     client = ros.node.create_client(SetParameters, '/planner_node/set_parameters')
     ros.wait_for(client.service_is_ready, 'parameter service')
-    future = client.call_async(SetParameters.Request(
-        parameters=[Parameter(name, value=value).to_parameter_msg()]))
-    ros.wait_for(future.done, 'an answer')
-    return future.result().results[0]
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    # A server that has not discovered the client's side yet answers into the void: ask again.
+    for _ in range(10):
+        future = client.call_async(request)
+        deadline = time.monotonic() + 3.0
+        while not future.done() and time.monotonic() < deadline:
+            ros.spin()
+        if future.done():
+            return future.result().results[0]
+    raise AssertionError('no answer')
 
 
 def test_parameters_change_while_running_or_are_refused_with_the_reason():
