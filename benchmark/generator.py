@@ -136,7 +136,7 @@ def _static_obstacles(
     """Place 1 to 3 ellipsoids on the links' swept volume, clear of the start and of the tip."""
     ends = _segments(robot, path)
     # What the last two joints carry goes where the tip's pose takes it.
-    tip = robot.capsule_joint_count >= robot.n - 1
+    tip = robot.moves[:, robot.n - 2] > 0.0
     links = np.flatnonzero(~tip)
     wanted = int(random.integers(1, 4))
     must_hit = random.uniform() < _HIT_SHARE

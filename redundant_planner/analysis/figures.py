@@ -73,7 +73,7 @@ def draw_arm(
     """
     corners = []
     for i, q in enumerate(postures):
-        points = robot.kinematics(q).joint_points
+        points = robot.joint_points(q)
         chain = np.vstack((np.zeros(3), points))
         corners.append(chain)
         axes.plot(*chain.T, color=ARM_COLOR, alpha=0.15 + 0.85 * (i + 1) / len(postures),

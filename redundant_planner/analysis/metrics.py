@@ -78,9 +78,11 @@ def smallest_clearance(
         names = [*robot.joint_names, robot.tip_frame]
         maps = whitening(scene, np.zeros(robot.n + 1))
     for i, q in enumerate(positions):
-        arm = robot.kinematics(q)
-        ends = ((arm.segment_start, arm.segment_end) if points == 'links'
-                else (arm.joint_points, arm.joint_points))
+        if points == 'links':
+            arm = robot.kinematics(q)
+            ends = arm.segment_start, arm.segment_end
+        else:
+            ends = (robot.joint_points(q),) * 2
         levels = pseudo_distance(link_clearance(maps, *ends).clearance)
         link, obstacle = divmod(int(levels.argmin()), len(scene.names))
         if levels[link, obstacle] < best.level:

@@ -6,8 +6,8 @@ on SE(3) instead, and the error of the measured pose against it is fed back into
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +16,7 @@ import pinocchio as pin
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Pose:
+class Pose(NamedTuple):
     """A tip pose in the base frame.
 
     Attributes:
@@ -58,11 +57,7 @@ def pose_error(reference: Pose, actual: Pose, command_frame: str) -> Array:
     rotation vector of the remaining rotation.
     """
     displacement = reference.position - actual.position
-    rotation: Array
-    if reference.rotation is actual.rotation:
-        rotation = np.zeros(3)
-    else:
-        rotation = pin.log3(reference.rotation @ actual.rotation.T)
+    rotation = pin.log3(reference.rotation @ actual.rotation.T)
     if command_frame == 'tool':
         displacement, rotation = actual.rotation.T @ displacement, actual.rotation.T @ rotation
     return np.concatenate((displacement, rotation))
@@ -79,6 +74,8 @@ def displaced(pose: Pose, error: Array, command_frame: str) -> Pose:
 
 def bounded(error: Array, distance: float, angle: float) -> Array:
     """Return the error (6,) with its linear and angular parts no longer than the caps.
+
+    An error within both is returned itself.
 
     Args:
         error: (6,) from `pose_error` [m, rad].
@@ -101,9 +98,12 @@ def feedback(error: Array, gain: float, speed: float, angular_speed: float) -> A
 
 
 def _capped(vector: Array, linear: float, angular: float) -> Array:
+    """Return the vector with both parts capped; the very same array where neither is."""
+    sizes = (math.sqrt(vector[:3] @ vector[:3]), math.sqrt(vector[3:] @ vector[3:]))
+    if sizes[0] <= linear and sizes[1] <= angular:
+        return vector
     result = vector.copy()
-    for part, cap in ((result[:3], linear), (result[3:], angular)):
-        size = math.sqrt(part @ part)
+    for part, size, cap in zip((result[:3], result[3:]), sizes, (linear, angular)):
         if size > cap:
             part *= cap / size
     return result

@@ -12,13 +12,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles import Pairs, pseudo_distance, Whitening
+from redundant_planner.core.obstacles import pseudo_distance
 
 Array = npt.NDArray[np.float64]
-
-# A pair whose weight in the smoothed minimum is below exp(−25) = 1.4e-11 is left out.
-_NEGLIGIBLE = 25.0
-
 
 def joint_limit_index(q: Array, position_min: Array, position_max: Array) -> tuple[float, Array]:
     """Return H_s of Eq. 3 and its gradient; joints without limits do not count.
@@ -36,46 +32,49 @@ def joint_limit_index(q: Array, position_min: Array, position_max: Array) -> tup
 
 
 def clearance_index(
-    maps: Whitening, pairs: Pairs, *, smoothing: float = 0.0,
+    clearance: Array, distance: Array, *, smoothing: float = 0.0,
     influence_distance: float = np.inf,
 ) -> tuple[float, Array]:
     """Return H_w of Eq. 7, the smallest S over all links and obstacles, and ∂H_w/∂ρ per pair.
 
     The gradient in q is the sum of ∂H_w/∂ρ · ∂ρ/∂q over the pairs (`clearance_gradients`), of
     which few count. The minimum is smoothed to −w ln Σ exp(−S_i/w), so that the gradient turns
-    over gradually where the nearest pair changes; w = 0 is Eq. 7 to the letter. S grows with
-    distance squared and so does ∇S: each pair's share is therefore faded in, from nothing at the
-    influence distance to everything at contact. An infinite influence distance is Eq. 7 to the
-    letter.
+    over gradually where the nearest pair changes; w = 0 is Eq. 7 to the letter.
+
+    S grows with distance squared and so does ∇S. A pair therefore counts in proportion to a
+    fade, from nothing at the influence distance to everything at contact, and the whole sum by
+    the largest fade. An infinite influence distance is Eq. 7 to the letter.
 
     Args:
-        maps: from `whitening`, one row of scales per segment; the joints of Eq. 7 are segments
-            of no length.
-        pairs: from `link_clearance` of these segments.
+        clearance: ρ of every pair, any shape.
+        distance: of the same shape, not more than the pairs' true distances [m].
         smoothing: w [unit of S].
         influence_distance: [m].
 
     Returns:
-        H_w (infinite without obstacles), and (c, k) its slopes, zero for pairs that do not count.
+        H_w (infinite without obstacles) and its slopes, zero for pairs that do not count.
     """
-    if not pairs.clearance.size:
-        return np.inf, np.zeros(pairs.clearance.shape)
-    levels = pseudo_distance(pairs.clearance)
+    if not clearance.size:
+        return np.inf, np.zeros(clearance.shape)
+    levels = pseudo_distance(clearance)
     lowest = float(levels.min())
-    if smoothing > 0.0:
-        excess = (levels - lowest) / smoothing
-        weights = np.exp(-excess)
-        weights[excess > _NEGLIGIBLE] = 0.0
-        total = float(weights.sum())
-        weights /= total
-        value = lowest - smoothing * math.log(total)
-    else:
-        weights, value = np.zeros(levels.shape), lowest
-        weights.flat[int(levels.argmin())] = 1.0
     if np.isfinite(influence_distance):
-        # ρ times the smallest semi-axis never exceeds the distance to the surface.
-        weights *= _fade(pairs.clearance / (maps.steepest * influence_distance))
-    return value, weights * (2.0 * (pairs.clearance + 1.0))  # ∂S/∂ρ = 2 (ρ + 1)
+        fade = _fade(distance / influence_distance)
+        activation = float(fade.max())
+        if activation == 0.0:
+            return lowest, np.zeros(clearance.shape)
+    else:
+        fade, activation = np.ones(clearance.shape), 1.0
+    if smoothing > 0.0:
+        weights = fade * np.exp((lowest - levels) / smoothing)
+        total = float(weights.sum())
+        if total > 0.0:
+            value = lowest - smoothing * math.log(total)
+            return value, weights * (2.0 * activation / total * (clearance + 1.0))
+    nearest = int(np.where(fade > 0.0, levels, np.inf).argmin())
+    slopes = np.zeros(clearance.shape)
+    slopes.flat[nearest] = 2.0 * activation * (clearance.flat[nearest] + 1.0)  # ∂S/∂ρ
+    return lowest, slopes
 
 
 def shortest_path_index(

@@ -136,44 +136,46 @@ class Whitening(NamedTuple):
     """The maps y = A x − b that turn each inflated ellipsoid into the unit ball.
 
     Attributes:
-        axes: (k, 3, 3) rotation into the ellipsoid's axes, Rᵀ.
-        offsets: (k, 3) Rᵀ c [m].
-        scales: (c, k, 3) 1 / inflated semi-axes, one row per link radius [1/m].
-        steepest: (c, k) the largest of `scales`, 1 / smallest inflated semi-axis [1/m].
+        maps: (c, 4, 3k) rows (x, 1) → the three entries of y, each for all k obstacles; one
+            map per link, as links differ in radius.
+        matrices: (c, k, 3, 3) A = diag(1 / inflated semi-axes) Rᵀ [1/m].
+        smallest: (c, k) smallest inflated semi-axis [m].
         velocities: (k, 3) obstacle velocities in the base frame [m/s].
         speeds: (k,) their size [m/s].
     """
 
-    axes: Array
-    offsets: Array
-    scales: Array
-    steepest: Array
+    maps: Array
+    matrices: Array
+    smallest: Array
     velocities: Array
     speeds: Array
 
 
 def whitening(scene: Scene, radii: npt.ArrayLike) -> Whitening:
     """Prepare a scene for links of the given radii (c,) [m]."""
-    axes = scene.rotations.transpose(0, 2, 1).copy()
-    offsets = (axes @ scene.centers[:, :, None])[:, :, 0]
     radii = np.asarray(radii, dtype=float)
     inflated = inflated_semi_axes(scene.semi_axes[None], radii[:, None])
-    scales = 1.0 / inflated
-    return Whitening(axes, offsets, scales, scales.max(axis=-1), scene.velocities,
-                     np.sqrt(np.square(scene.velocities).sum(axis=-1)))
+    matrices = scene.rotations.transpose(0, 2, 1) / inflated[..., None]
+    maps = np.empty((len(radii), 4, 3, len(scene.names)))
+    maps[:, :3] = matrices.transpose(0, 3, 2, 1)
+    maps[:, 3] = -(matrices @ scene.centers[:, :, None])[..., 0].transpose(0, 2, 1)
+    return Whitening(maps.reshape(len(radii), 4, -1), matrices, inflated.min(axis=-1),
+                     scene.velocities, np.sqrt(np.square(scene.velocities).sum(axis=-1)))
 
 
 class Pairs(NamedTuple):
     """Every link × every obstacle.
 
     Attributes:
-        whitened: (c, k, 3) y at the link's nearest point, |y| = ρ + 1.
+        whitened: (c, 3, k) y at the link's nearest point, |y| = ρ + 1.
         clearance: (c, k) ρ there; negative inside.
+        distance: (c, k) [m] ρ times the smallest semi-axis: never more than the true distance.
         parameter: (c, k) where on the segment, 0 at its start, 1 at its end.
     """
 
     whitened: Array
     clearance: Array
+    distance: Array
     parameter: Array
 
 
@@ -183,22 +185,23 @@ def link_clearance(maps: Whitening, start: Array, end: Array) -> Pairs:
     S(t) = |y₀ + t d|² − 1 has its minimum over [0, 1] at t = clip(−y₀·d / d·d).
 
     Args:
-        maps: from `whitening`, with one row of scales per link.
+        maps: from `whitening`, with one row per link.
         start: (c, 3) segment starts in the base frame [m].
         end: (c, 3) segment ends in the base frame [m].
     """
-    links, obstacles = len(start), len(maps.axes)
-    # One product rotates both ends of all links into all obstacles' axes: (3k, 3) @ (3, 2c).
-    ends = np.concatenate((start, end - start)).T
-    turned = (maps.axes.reshape(-1, 3) @ ends).reshape(obstacles, 3, 2, links)
-    first = (turned[:, :, 0].transpose(2, 0, 1) - maps.offsets) * maps.scales
-    along = turned[:, :, 1].transpose(2, 0, 1) * maps.scales
-    squared = (along * along).sum(axis=-1)
-    parameter = -(first * along).sum(axis=-1) / np.maximum(squared, np.finfo(float).tiny)
+    ends = np.zeros((len(start), 2, 4))
+    ends[:, 0, :3] = start
+    ends[:, 0, 3] = 1.0
+    ends[:, 1, :3] = end - start
+    # One product takes every link's start and direction to every obstacle's coordinates.
+    whitened = (ends @ maps.maps).reshape(len(start), 2, 3, maps.smallest.shape[1])
+    first, along = whitened[:, 0], whitened[:, 1]
+    squared = (along * along).sum(axis=1)
+    parameter = -(first * along).sum(axis=1) / np.maximum(squared, np.finfo(float).tiny)
     parameter = np.minimum(np.maximum(parameter, 0.0), 1.0)
-    whitened = first + parameter[:, :, None] * along
-    clearance = np.sqrt((whitened * whitened).sum(axis=-1)) - 1.0
-    return Pairs(whitened, clearance, parameter)
+    nearest = first + parameter[:, None] * along
+    clearance = np.sqrt((nearest * nearest).sum(axis=1)) - 1.0
+    return Pairs(nearest, clearance, clearance * maps.smallest, parameter)
 
 
 def pseudo_distance(clearance: Array) -> Array:
@@ -208,7 +211,7 @@ def pseudo_distance(clearance: Array) -> Array:
 
 def clearance_gradients(
     maps: Whitening, pairs: Pairs, links: npt.NDArray[np.intp], obstacles: npt.NDArray[np.intp],
-    start: Array, end: Array, columns: Array, joint_count: npt.NDArray[np.intp],
+    start: Array, end: Array, columns: Array, moves: Array,
 ) -> tuple[Array, Array]:
     """Return ∂ρ/∂q and ∂ρ/∂t of the chosen pairs.
 
@@ -221,24 +224,32 @@ def clearance_gradients(
         links, obstacles: (p,) indices of the chosen pairs.
         start, end: (c, 3) the segments [m].
         columns: (6, n) joint screws at the base origin.
-        joint_count: (c,) number of leading joints that move each link.
+        moves: (c, n) 1 where a joint moves a link, else 0.
 
     Returns:
         (p, n) gradients in q, and (p,) rates of ρ caused by the obstacles' own motion.
     """
-    y = pairs.whitened[links, obstacles]
+    y = pairs.whitened[links, :, obstacles]
     # In an ellipsoid's very centre every direction is as good: the guard leaves a zero gradient.
-    length = np.maximum(pairs.clearance[links, obstacles] + 1.0, 1e-9)
-    scaled = y / length[:, None] * maps.scales[links, obstacles]
-    slope = (scaled[:, None, :] @ maps.axes[obstacles])[:, 0]
+    y /= np.maximum(pairs.clearance[links, obstacles] + 1.0, 1e-9)[:, None]
+    slope = (y[:, None] @ maps.matrices[links, obstacles])[:, 0]
     first = start[links]
     point = first + pairs.parameter[links, obstacles][:, None] * (end[links] - first)
-    wrench = np.empty((len(y), 6))
-    wrench[:, :3] = slope
-    x, f = point.T, slope.T
-    wrench[:, 3] = x[1] * f[2] - x[2] * f[1]
-    wrench[:, 4] = x[2] * f[0] - x[0] * f[2]
-    wrench[:, 5] = x[0] * f[1] - x[1] * f[0]
-    gradient = wrench @ columns
-    gradient[np.arange(columns.shape[1]) >= joint_count[links][:, None]] = 0.0
+    gradient = (wrenches(point, slope) @ columns) * moves[links]
+    if not maps.speeds.any():
+        return gradient, np.zeros(len(y))
     return gradient, -(slope * maps.velocities[obstacles]).sum(axis=-1)
+
+
+def wrenches(points: Array, forces: Array) -> Array:
+    """Return the rows [f, x × f], (p, 6), of forces (p, 3) acting at points (p, 3).
+
+    Their products with the joint screws are the joints' shares in f · ẋ.
+    """
+    result = np.empty((len(points), 6))
+    result[:, :3] = forces
+    x, f = points.T, forces.T
+    result[:, 3] = x[1] * f[2] - x[2] * f[1]
+    result[:, 4] = x[2] * f[0] - x[0] * f[2]
+    result[:, 5] = x[0] * f[1] - x[1] * f[0]
+    return result

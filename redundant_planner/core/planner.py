@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core import drift, indices, jacobian, null_space, safety
+from redundant_planner.core import drift, indices, null_space, safety
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.obstacles import (
@@ -35,6 +35,8 @@ Array = npt.NDArray[np.float64]
 _AT_REST = 1e-5
 # The singularity barrier is looked at below this multiple of its margin.
 _SINGULARITY_NEAR = 5.0
+# Entries of a twist beyond this are cut back before anything is computed with them.
+_ABSURD = 1e100
 _NO_PAIRS = np.empty(0, dtype=np.intp)
 
 
@@ -59,6 +61,7 @@ class _Near(NamedTuple):
     Attributes:
         links, obstacles: (p,) indices.
         clearance: (p,) ρ.
+        distance: (p,) not more than the true distance [m].
         gradient: (p, n) ∂ρ/∂q.
         rate: (p,) ∂ρ/∂t from the obstacles' own motion [1/s].
     """
@@ -66,8 +69,21 @@ class _Near(NamedTuple):
     links: npt.NDArray[np.intp]
     obstacles: npt.NDArray[np.intp]
     clearance: Array
+    distance: Array
     gradient: Array
     rate: Array
+
+
+class _Pace(NamedTuple):
+    """How far a tick can lead.
+
+    Attributes:
+        rate: share of a reserve that may be used up per second [1/s].
+        fastest: (n,) the fastest the joints may move [rad/s, m/s].
+    """
+
+    rate: float
+    fastest: Array
 
 
 class StepResult(NamedTuple):
@@ -81,7 +97,8 @@ class StepResult(NamedTuple):
         scale: s, the share of the commanded twist that is followed.
         stage: how the safety filter came to `dq`.
         reason: one sentence: what slows or stops the arm; empty when nothing does.
-        clearance_index: H_w; infinite without obstacles.
+        clearance_index: H_w over what is within the influence distance; infinite where nothing
+            is.
         nearest: the nearest pair, None without obstacles.
         manipulability: Yoshikawa's measure, the product of J's singular values.
         pose: the tip at the measured posture.
@@ -119,11 +136,10 @@ class Planner:
         self.robot = robot
         self._maps_of: tuple[Scene, Whitening] | None = None
         self._radii = np.array([c.radius for c in robot.capsules])
-        count = robot.capsule_joint_count[robot.self_pairs]
-        joints = np.arange(robot.n)
-        self._self_levers = robot.levers * (
-            (joints >= count.min(axis=0)[:, None]) & (joints < count.max(axis=0)[:, None]))
-        self._points = np.arange(1, robot.n + 2).clip(max=robot.n)
+        # Only the joints between two links bring these nearer to each other.
+        self._self_moves = robot.moves[robot.self_pairs[:, 0]] - robot.moves[
+            robot.self_pairs[:, 1]]
+        self._self_levers = np.abs(self._self_moves) * robot.levers[robot.self_pairs].max(axis=1)
         self._controlled = robot.full_twist(np.ones(robot.m)) > 0.0
         self.parameters = parameters
         self.reset()
@@ -151,8 +167,9 @@ class Planner:
         self._self_known: tuple[Array, Array] | None = None
         self._weights = weights
         self._scaling = 1.0 / np.sqrt(weights)
-        self._limits = safety.Limits(robot.position_min + margin, robot.position_max - margin,
-                                     robot.velocity_max, robot.acceleration_max)
+        self._limits = safety.Limits(
+            np.array((robot.position_max - margin, robot.position_min + margin)),
+            robot.velocity_max, robot.acceleration_max)
         self._maps_of = None
 
     def reset(self) -> None:
@@ -199,13 +216,10 @@ class Planner:
         least_norm = null_space.least_norm(parts, gains, task)
 
         # ∇H, Eq. 18, and k P∇H, Eqs. 1 and 2.
+        pace = self._pace(dt)
         maps, pairs = self._clearances(arm, scene)
-        level, slopes = self._clearance_index(maps, pairs)
-        near = self._near(arm, maps, pairs, slopes, dt)
-        if p.clearance_points == 'joints':
-            level, clearance = self._clearance_of_joints(arm, scene)
-        else:
-            clearance = slopes[near.links, near.obstacles] @ near.gradient
+        near = self._near(arm, maps, pairs, pace)
+        level, clearance = self._clearance_gradient(arm, near, scene)
         gradient = self._total_gradient(arm, clearance, parts, gains, least_norm, task)
         projected = null_space.project(parts, gradient * self._scaling)
         factor = p.k_fixed
@@ -220,18 +234,18 @@ class Planner:
         self._followed = arm.jacobian @ dq - robot.task_rows(correction)
         if p.safety_filter:
             result, reason = self._filtered(
-                dq, parts, arm, task, near, scene, bool(command.any()), dt)
+                dq, parts, arm, task, near, scene, bool(command.any()), pace, dt)
             dq, scale, stage = result.dq, result.scale, result.stage
             # What was followed of the path; neither the way back to it nor what was yielded.
             self._followed = scale * robot.task_rows(command) + result.coast * coasting
 
+        assert self._reference is not None
         self._reference = drift.integrate(
-            drift.displaced(pose, error, robot.command_frame),
-            robot.full_twist(self._followed), dt, robot.command_frame)
+            self._reference, robot.full_twist(self._followed), dt, robot.command_frame)
         self._previous = dq
         return StepResult(
             dq.copy(), least_norm, homogeneous, factor, scale, stage, reason, level,
-            self._nearest(maps, pairs, scene), parts.manipulability, pose, error)
+            self._nearest(pairs, scene), parts.manipulability, pose, error)
 
     def _checked_command(self, twist: Array, dt: float) -> Array:
         """Return the controlled part of the twist, no faster than the speed limits."""
@@ -241,24 +255,34 @@ class Planner:
                              '[m/s, rad/s]')
         if not (np.isfinite(dt) and dt > 0.0):
             raise StateError(f'dt is {dt}; it must be positive [s]')
-        command[~self._controlled] = 0.0
-        excess = max(float(np.abs(command[:3]).max()) / self._parameters.linear_speed_max,
-                     float(np.abs(command[3:]).max()) / self._parameters.angular_speed_max)
+        if self.robot.m < 6:
+            command[~self._controlled] = 0.0
+        linear_max, angular_max = (
+            self._parameters.linear_speed_max, self._parameters.angular_speed_max)
+        vx, vy, vz, wx, wy, wz = command.tolist()
+        # Bounded first: the norm of an absurd twist would overflow.
+        excess = max(abs(vx), abs(vy), abs(vz), abs(wx), abs(wy), abs(wz)) / _ABSURD
         if excess > 1.0:
-            # Through the largest entry first: the norm of an absurd twist would overflow.
-            command /= excess
-        linear = _size(command[:3]) / self._parameters.linear_speed_max
-        angular = _size(command[3:]) / self._parameters.angular_speed_max
-        return command / max(linear, angular, 1.0)
+            return self._checked_command(command / excess, dt)
+        return command / max(math.hypot(vx, vy, vz) / linear_max,
+                             math.hypot(wx, wy, wz) / angular_max, 1.0)
 
     def _path_error(self, pose: Pose) -> Array:
-        """Return the error against the reference, nothing on axes that are not controlled."""
+        """Return the error against the reference, nothing on axes that are not controlled.
+
+        A reference that is out of reach, or has drifted on those axes, is brought along.
+        """
         if self._reference is None:
+            self._reference = pose
             return np.zeros(6)
-        error = drift.pose_error(self._reference, pose, self.robot.command_frame)
-        error[~self._controlled] = 0.0
-        return drift.bounded(
-            error, self._parameters.drift_distance, self._parameters.drift_angle)
+        frame, p = self.robot.command_frame, self._parameters
+        error = drift.pose_error(self._reference, pose, frame)
+        if self.robot.m < 6:
+            error[~self._controlled] = 0.0
+        kept = drift.bounded(error, p.drift_distance, p.drift_angle)
+        if self.robot.m < 6 or kept is not error:
+            self._reference = drift.displaced(pose, kept, frame)
+        return kept
 
     def _clearances(self, arm: Kinematics, scene: Scene) -> tuple[Whitening, Pairs]:
         """Return every link × every obstacle; links carry the clearance margin."""
@@ -268,45 +292,44 @@ class Planner:
         maps = self._maps_of[1]
         return maps, link_clearance(maps, arm.segment_start, arm.segment_end)
 
-    def _clearance_index(self, maps: Whitening, pairs: Pairs) -> tuple[float, Array]:
-        """Return H_w of Eq. 7 and its slopes in every pair's ρ."""
-        p = self._parameters
-        if p.k_w == 0.0 or p.clearance_points == 'joints':
-            return np.inf, np.zeros(pairs.clearance.shape)
-        return indices.clearance_index(maps, pairs, smoothing=p.clearance_smoothing,
-                                       influence_distance=p.influence_distance)
-
-    def _clearance_of_joints(self, arm: Kinematics, scene: Scene) -> tuple[float, Array]:
-        """Return H_w and ∇H_w over the joints alone, as the paper takes them."""
-        p, points = self._parameters, arm.joint_points
-        maps = whitening(scene, np.zeros(len(points)))
-        pairs = link_clearance(maps, points, points)
-        level, slopes = indices.clearance_index(
-            maps, pairs, smoothing=p.clearance_smoothing, influence_distance=p.influence_distance)
-        links, obstacles = np.nonzero(slopes)
-        gradient, _ = clearance_gradients(
-            maps, pairs, links, obstacles, points, points, arm.columns, self._points)
-        return level, slopes[links, obstacles] @ gradient
-
-    def _near(
-        self, arm: Kinematics, maps: Whitening, pairs: Pairs, slopes: Array, dt: float,
-    ) -> _Near:
+    def _near(self, arm: Kinematics, maps: Whitening, pairs: Pairs, pace: _Pace) -> _Near:
         """Return the pairs that could act in this tick, all of them, and their gradients.
 
-        Those are the pairs that count in H_w, and those whose barrier could act: no point of a
-        link moves faster than Σ |q̇_j| lever_j, and ρ falls by at most that times
-        1 / (smallest semi-axis).
+        Those are the pairs within the influence distance, and those whose barrier could act: no
+        point of a link moves faster than Σ |q̇_j| lever_j.
         """
-        chosen = slopes > 0.0
+        within = self._parameters.influence_distance
         if self._parameters.safety_filter:
-            rate, fastest = self._reach(dt)
-            speed = float(fastest @ self.robot.levers)
-            chosen |= rate * pairs.clearance <= (speed + maps.speeds) * maps.steepest
-        links, obstacles = np.nonzero(chosen)
-        gradient, drift_rate = clearance_gradients(
+            speeds = (self.robot.levers @ pace.fastest)[:, None] + maps.speeds
+            chosen = pairs.distance <= np.maximum(speeds / pace.rate, within)
+        else:
+            chosen = pairs.distance <= within
+        links, obstacles = chosen.nonzero()
+        gradient, rate = clearance_gradients(
             maps, pairs, links, obstacles, arm.segment_start, arm.segment_end, arm.columns,
-            self.robot.capsule_joint_count)
-        return _Near(links, obstacles, pairs.clearance[links, obstacles], gradient, drift_rate)
+            self.robot.moves)
+        return _Near(links, obstacles, pairs.clearance[links, obstacles],
+                     pairs.distance[links, obstacles], gradient, rate)
+
+    def _clearance_gradient(
+        self, arm: Kinematics, near: _Near, scene: Scene,
+    ) -> tuple[float, Array]:
+        """Return H_w of Eq. 7 and ∇H_w, over whole links or, as the paper does, over joints."""
+        p, robot = self._parameters, self.robot
+        clearance, distance, gradient = near.clearance, near.distance, near.gradient
+        if p.clearance_points == 'joints':
+            points = robot.joint_points(arm.q)
+            maps = whitening(scene, np.zeros(len(points)))
+            pairs = link_clearance(maps, points, points)
+            clearance, distance = pairs.clearance.ravel(), pairs.distance.ravel()
+            which, obstacles = np.indices(pairs.clearance.shape).reshape(2, -1)
+            gradient, _ = clearance_gradients(
+                maps, pairs, which, obstacles, points, points, arm.columns,
+                moves=np.tril(np.ones((len(points), robot.n))))
+        level, slopes = indices.clearance_index(
+            clearance, distance, smoothing=p.clearance_smoothing,
+            influence_distance=p.influence_distance)
+        return level, slopes @ gradient
 
     def _total_gradient(
         self, arm: Kinematics, clearance: Array, parts: null_space.Decomposition, gains: Array,
@@ -322,54 +345,49 @@ class Planner:
         if p.k_f > 0.0:
             dual = parts.left @ (gains * gains * (parts.left.T @ task))
             _, shortest_path = indices.shortest_path_index(
-                least_norm, dual, self._jacobian_derivative(arm, self._scaling * least_norm))
+                least_norm, dual, robot.jacobian_derivative_times(arm, self._scaling * least_norm))
         return indices.total_gradient(
             clearance, joint_limit, shortest_path, k_w=p.k_w, k_s=p.k_s, k_f=p.k_f)
 
-    def _jacobian_derivative(self, arm: Kinematics, dq: Array) -> Array:
-        """Return the columns (∂J/∂q_k) q̇ of the controlled axes, (m, n)."""
-        if self.robot.command_frame == 'tool':
-            columns = jacobian.tool_derivative_times(arm.tip_jacobian, arm.tip_rotation, dq)
-        else:
-            columns = jacobian.jacobian_derivative_times(arm.tip_jacobian, dq)
-        return columns[self._controlled]
-
     def _filtered(
         self, desired: Array, parts: null_space.Decomposition, arm: Kinematics, task: Array,
-        near: _Near, scene: Scene, commanded: bool, dt: float,
+        near: _Near, scene: Scene, commanded: bool, pace: _Pace, dt: float,
     ) -> tuple[safety.Filtered, str]:
         """Pass the desired velocity through the safety filter and name what acted."""
-        may_yield = self._parameters.path_priority == 'yield' and bool(
+        p = self._parameters
+        may_yield = p.path_priority == 'yield' and bool(
             ((near.clearance < 0.0) | (near.rate < 0.0)).any())
-        own, own_gradient, distance = self._self_clearances(arm, dt)
-        barriers = safety.Barriers(near.gradient, near.rate, near.clearance)
-        if len(own):
-            barriers = safety.Barriers(
-                np.concatenate((near.gradient, own_gradient)),
-                np.append(near.rate, np.zeros(len(own))), np.append(near.clearance, distance))
-        exact = bool(parts.singular_values[-1] >= self._parameters.damping_threshold)
+        own, own_gradient, distance = self._self_clearances(arm, pace)
+        singular, reserve = self._singularity(arm, parts)
+        still = np.zeros(len(own) + len(reserve))
+        barriers = safety.Barriers(
+            np.concatenate((near.gradient, own_gradient, singular)),
+            np.concatenate((near.rate, still)),
+            np.concatenate((near.clearance, distance, reserve)), soft=len(reserve))
         result = safety.safe_velocity(
-            desired, exact, arm.jacobian, task, arm.q, self._previous, self._limits, barriers,
-            weights=self._weights, gain=self._parameters.barrier_gain,
-            may_yield=may_yield, dt=dt, singularity=self._singularity(arm, parts))
+            desired, bool(parts.singular_values[-1] >= p.damping_threshold), arm.jacobian, task,
+            arm.q, self._previous, self._limits, barriers, weights=self._weights,
+            gain=p.barrier_gain, may_yield=may_yield, dt=dt)
         return result, self._reason(
             result, commanded, lambda: self._pair_names(near, own, scene), dt)
 
     def _singularity(
         self, arm: Kinematics, parts: null_space.Decomposition,
-    ) -> safety.SingularityBarrier | None:
-        """Return the barrier of the smallest singular value σ, None where it is far away.
+    ) -> tuple[Array, Array]:
+        """Return the gradient (1, n) of J's smallest singular value σ and its reserve (1,).
 
-        With its directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v.
+        With σ's directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v. Closer than the margin the arm
+        may stay where it is; it only may not get closer. Nothing, (0, n), where σ is large.
         """
         margin, smallest = self._parameters.singularity_margin, parts.singular_values[-1]
         if smallest > _SINGULARITY_NEAR * margin:
-            return None
-        columns = self._jacobian_derivative(arm, self._scaling * parts.right[-1])
-        return safety.SingularityBarrier(parts.left[:, -1] @ columns, float(smallest - margin))
+            return np.empty((0, self.robot.n)), np.empty(0)
+        columns = self.robot.jacobian_derivative_times(arm, self._scaling * parts.right[-1])
+        return ((parts.left[:, -1] @ columns)[None],
+                np.array([max(float(smallest) - margin, 0.0)]))
 
     def _self_clearances(
-        self, arm: Kinematics, dt: float,
+        self, arm: Kinematics, pace: _Pace,
     ) -> tuple[npt.NDArray[np.intp], Array, Array]:
         """Return the pairs of links that may meet in this tick, their gradients and distances.
 
@@ -377,23 +395,23 @@ class Planner:
         are fatter than links, and an arm must not start to move by itself because of it.
         """
         robot, margin = self.robot, self._parameters.self_collision_margin
-        first, second = robot.self_pairs
-        if margin <= -1.0 or not len(first):
-            return _NO_PAIRS, np.empty((0, robot.n)), np.empty(0)
-        rate, fastest = self._reach(dt)
+        nothing = _NO_PAIRS, np.empty((0, robot.n)), np.empty(0)
+        if margin <= -1.0 or not len(robot.self_pairs):
+            return nothing
         # A pair's distance falls by no more than the joints between its links have moved: as
         # long as that settles it, nothing needs to be measured.
-        reach = (self._self_levers @ fastest) / rate
+        reach = (self._self_levers @ pace.fastest) / pace.rate
         if self._self_known is not None:
             known_at, known = self._self_known
             if (known - self._self_levers @ np.abs(arm.q - known_at) > reach).all():
-                return _NO_PAIRS, np.empty((0, robot.n)), np.empty(0)
+                return nothing
         pairs = link_distances(
-            arm.segment_start, arm.segment_end, self._radii + margin / 2.0, first, second)
+            arm.segment_start, arm.segment_end, self._radii + margin / 2.0, robot.self_pairs)
         self._self_known = arm.q, pairs.distance
-        near = np.flatnonzero(pairs.distance <= reach)
-        gradient = distance_gradients(
-            pairs, near, first, second, arm.columns, robot.capsule_joint_count)
+        near = (pairs.distance <= reach).nonzero()[0]
+        if not len(near):
+            return nothing
+        gradient = distance_gradients(pairs, near, arm.columns, self._self_moves)
         return near, gradient, np.maximum(pairs.distance[near], 0.0)
 
     def _pair_names(
@@ -404,7 +422,7 @@ class Planner:
         found = [f"link '{names[link]}' near obstacle '{scene.names[obstacle]}'"
                  for link, obstacle in zip(near.links, near.obstacles)]
         found += [f"link '{names[i]}' near link '{names[j]}'"
-                  for i, j in self.robot.self_pairs[:, own].T]
+                  for i, j in self.robot.self_pairs[own]]
         return [*found, 'near a singularity']
 
     def _reason(
@@ -425,24 +443,22 @@ class Planner:
         names += [pairs[i] for i in result.pairs]
         return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
 
-    def _reach(self, dt: float) -> tuple[float, Array]:
-        """Return the barriers' rate [1/s] and the fastest the joints may move next tick (n,)."""
+    def _pace(self, dt: float) -> _Pace:
+        """Return the barriers' rate and how fast the joints may move after this tick."""
         robot = self.robot
         stop = safety.stopping_time(self._previous, robot.acceleration_max) + dt
         fastest = np.minimum(
             np.abs(self._previous) + robot.acceleration_max * dt, robot.velocity_max)
-        rate = safety.barrier_rate(self._parameters.barrier_gain, stop, dt)
-        return rate, fastest
+        return _Pace(safety.barrier_rate(self._parameters.barrier_gain, stop, dt), fastest)
 
-    def _nearest(self, maps: Whitening, pairs: Pairs, scene: Scene) -> Nearest | None:
+    def _nearest(self, pairs: Pairs, scene: Scene) -> Nearest | None:
         if not pairs.clearance.size:
             return None
-        distances = pairs.clearance / maps.steepest
-        link, obstacle = divmod(int(distances.argmin()), len(scene.names))
+        link, obstacle = divmod(int(pairs.distance.argmin()), len(scene.names))
         return Nearest(
             self.robot.capsules[link].name, scene.names[obstacle],
             float(pseudo_distance(pairs.clearance[link, obstacle])),
-            float(distances[link, obstacle]))
+            float(pairs.distance[link, obstacle]))
 
 
 def _size(vector: Array) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -62,8 +63,7 @@ class Capsule:
                 f"capsule '{self.name}': radius is {self.radius}; it must be 0 or more [m]")
 
 
-@dataclass(frozen=True)
-class Kinematics:
+class Kinematics(NamedTuple):
     """The arm at one posture; everything is expressed in the base frame.
 
     Attributes:
@@ -75,7 +75,6 @@ class Kinematics:
         jacobian: (m, n) the controlled rows, in the command frame: J of the paper.
         segment_start: (c, 3) first ends of the capsules [m].
         segment_end: (c, 3) second ends of the capsules [m].
-        joint_points: (n + 1, 3) joint origins, then the tip: the X_i of Eq. 7 [m].
     """
 
     q: Array
@@ -86,7 +85,6 @@ class Kinematics:
     jacobian: Array
     segment_start: Array
     segment_end: Array
-    joint_points: Array
 
 
 class Robot:
@@ -102,8 +100,9 @@ class Robot:
         position_min, position_max: (n,) [rad, m], infinite for continuous joints.
         velocity_max, acceleration_max: (n,) [rad/s, m/s; per s²].
         capsules: the link shapes.
-        self_pairs: (2, p) indices of the capsules that can run into each other.
-        levers: (n,) the fastest any point of a capsule moves per unit of joint velocity, at any
+        self_pairs: (p, 2) indices of the capsules that can run into each other.
+        moves: (c, n) 1 where a joint moves a capsule, else 0.
+        levers: (c, n) the fastest any point of a capsule moves per unit of joint velocity, at any
             posture: a bound [m/rad, 1 for prismatic joints].
     """
 
@@ -169,10 +168,7 @@ class Robot:
 
         self._tip_id = self._model.getFrameId(tip_frame)
         self._rows = np.array([AXES.index(axis) for axis in self.axes])
-        # Views into Pinocchio's own memory: they show the latest posture without a copy or a
-        # Python call per joint. They never leave this class.
-        self._joint_rotations = [self._data.oMi[i].rotation for i in range(self.n + 1)]
-        self._joint_positions = [self._data.oMi[i].translation for i in range(self.n + 1)]
+        self._no_acceleration = np.zeros(self.n)
         self.capsules = tuple(
             self._default_capsules(link_radius) if capsules is None else capsules)
         self._place_capsules()
@@ -190,9 +186,9 @@ class Robot:
         return len(self.axes)
 
     @property
-    def capsule_joint_count(self) -> npt.NDArray[np.intp]:
-        """(c,) how many of the chain's first joints move each capsule."""
-        return self._capsule_joint
+    def model(self) -> pin.Model:
+        """The chain as Pinocchio holds it, in the base frame; not to be changed."""
+        return self._model
 
     def kinematics(self, q: npt.ArrayLike) -> Kinematics:
         """Return the arm's kinematics at `q`.
@@ -206,27 +202,53 @@ class Robot:
         q = self.checked_posture(q)
         pin.computeJointJacobians(self._model, self._data, q)
         tip = pin.updateFramePlacement(self._model, self._data, self._tip_id)
-        columns = np.array(self._data.J)
-        position, rotation = np.array(tip.translation), np.array(tip.rotation)
-        tip_jacobian = columns.copy()
-        tip_jacobian[:3] -= _skew(position) @ columns[3:]
-        jacobian = tip_jacobian
+        jacobian = tip_jacobian = pin.getFrameJacobian(
+            self._model, self._data, self._tip_id, pin.LOCAL_WORLD_ALIGNED)
         if self.command_frame == 'tool':
-            jacobian = (rotation.T @ tip_jacobian.reshape(2, 3, -1)).reshape(6, -1)
-        joint_rotations = np.array(self._joint_rotations)
-        joint_positions = np.array(self._joint_positions)
-        ends = (joint_rotations[self._capsule_joint] @ self._capsule_ends).transpose(2, 0, 1)
-        ends = ends + joint_positions[self._capsule_joint]
+            jacobian = pin.getFrameJacobian(self._model, self._data, self._tip_id, pin.LOCAL)
+        ends = np.array(self._capsule_rotations).reshape(-1, 3, 3) @ self._capsule_ends
+        ends += np.array(self._capsule_positions).reshape(-1, 3, 1)
         return Kinematics(
             q=q,
-            columns=columns,
-            tip_position=position,
-            tip_rotation=rotation,
+            columns=np.array(self._data.J),
+            tip_position=np.array(tip.translation),
+            tip_rotation=np.array(tip.rotation),
             tip_jacobian=tip_jacobian,
             jacobian=jacobian[self._rows],
-            segment_start=ends[0],
-            segment_end=ends[1],
-            joint_points=np.vstack((joint_positions[1:], position)))
+            segment_start=ends[:, :, 0],
+            segment_end=ends[:, :, 1])
+
+    def jacobian_derivative_times(self, arm: Kinematics, dq: Array) -> Array:
+        """Return the columns (∂J/∂q_k) q̇ of the controlled axes in the command frame, (m, n).
+
+        Pinocchio differentiates the tip's velocity in tool axes; turned into base axes, where
+        V = R V_tool and joint k turns R, column k is R ∂V_tool/∂q_k + w_k × V.
+
+        Args:
+            arm: the posture.
+            dq: (n,) q̇.
+        """
+        pin.computeForwardKinematicsDerivatives(
+            self._model, self._data, arm.q, dq, self._no_acceleration)
+        columns = pin.getFrameVelocityDerivatives(
+            self._model, self._data, self._tip_id, pin.LOCAL)[0]
+        if self.command_frame == 'base':
+            columns = (arm.tip_rotation @ columns.reshape(2, 3, -1)).reshape(6, -1)
+            twist, axes = arm.tip_jacobian @ dq, arm.tip_jacobian[3:]
+            columns[:3] -= pin.skew(twist[:3]) @ axes
+            columns[3:] -= pin.skew(twist[3:]) @ axes
+        return columns[self._rows]
+
+    def joint_points(self, q: npt.ArrayLike) -> Array:
+        """Return the joint origins, then the tip, (n + 1, 3): the X_i of Eq. 7 [m].
+
+        Raises:
+            StateError: `q` does not have n finite entries.
+        """
+        pin.forwardKinematics(self._model, self._data, self.checked_posture(q))
+        tip = pin.updateFramePlacement(self._model, self._data, self._tip_id)
+        joints = [self._data.oMi[i].translation for i in range(1, self.n + 1)]
+        return np.array([*joints, tip.translation])
 
     def checked_posture(self, q: npt.ArrayLike) -> Array:
         """Return `q` as a fresh (n,) array of floats.
@@ -294,7 +316,13 @@ class Robot:
                 [frame.placement.act(np.array(end)) for end in (capsule.start, capsule.end)]))
         self._capsule_joint = np.array(joints, dtype=np.intp)
         self._capsule_ends = np.array(ends).reshape(-1, 3, 2)
-
+        self.moves = _read_only(
+            (np.arange(self.n) < self._capsule_joint[:, None]).astype(float))
+        # Views into Pinocchio's own memory: they show the latest posture without a Python call
+        # per link. They never leave this class.
+        placements = [self._data.oMi[i] for i in joints]
+        self._capsule_rotations = [placement.rotation for placement in placements]
+        self._capsule_positions = [placement.translation for placement in placements]
 
     def _levers(self) -> Array:
         """Bound the distance of any capsule point from each joint by the lengths after it."""
@@ -313,8 +341,7 @@ class Robot:
             beyond = max(float(farthest[i + 1]), beyond)
             levers[i] = beyond if revolute[i] else 1.0
             beyond += length[i] + stroke[i]
-        return _read_only(levers)
-
+        return _read_only(levers * self.moves)
 
     def _self_pairs(self) -> npt.NDArray[np.intp]:
         """Pair the capsules that can run into each other, judged by random postures.
@@ -323,8 +350,8 @@ class Robot:
         those that overlap at many postures, whose shapes do so by construction; and those two
         joints apart that never come near each other.
         """
-        first, second = np.triu_indices(len(self.capsules), 1)
-        between = np.abs(self._capsule_joint[first] - self._capsule_joint[second])
+        links = np.transpose(np.triu_indices(len(self.capsules), 1))
+        between = np.abs(np.diff(self._capsule_joint[links], axis=1))[:, 0]
         radii = np.array([c.radius for c in self.capsules])
         low = np.where(np.isfinite(self.position_min), self.position_min, -np.pi)
         high = np.where(np.isfinite(self.position_max), self.position_max, np.pi)
@@ -333,22 +360,17 @@ class Robot:
         for _ in range(_PAIR_SAMPLES if (between > 1).any() else 0):
             arm = self.kinematics(random.uniform(low, high))
             distances.append(link_distances(
-                arm.segment_start, arm.segment_end, radii, first, second).distance)
-        sampled = np.array(distances).reshape(-1, len(first))
+                arm.segment_start, arm.segment_end, radii, links).distance)
+        sampled = np.array(distances).reshape(-1, len(links))
         touching = (sampled < 0.0).sum(axis=0) > _TOUCH_SHARE * _PAIR_SAMPLES
         never = (between == 2) & (sampled > _NEVER_NEAR).all(axis=0)
         keep = (between > 1) & ~touching & ~never
-        return np.array((first[keep], second[keep]))
+        return links[keep]
 
 
 def _read_only(array: Array) -> Array:
     array.setflags(write=False)
     return array
-
-
-def _skew(vector: Array) -> Array:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _read_model(urdf: str) -> tuple[pin.Model, set[str]]:

@@ -48,6 +48,7 @@ _UNBOUNDED = 1e30
 _ACTIVE = 1e-9
 _TOLERANCE = 1e-9
 _EQUALITY = 5
+_OUTWARD = np.array([[1.0], [-1.0]])
 # Reserve on the stopping distance for gradients that turn while the arm brakes.
 _CURVATURE_RESERVE = 1.25
 
@@ -64,38 +65,32 @@ class Stage(Enum):
 
 
 class Limits(NamedTuple):
-    """What a joint may do, (n,) each [rad, m; per s; per s²]."""
+    """What a joint may do [rad, m; per s; per s²].
 
-    position_min: Array
-    position_max: Array
+    Attributes:
+        positions: (2, n) highest, then lowest.
+        velocity_max, acceleration_max: (n,).
+    """
+
+    positions: Array
     velocity_max: Array
     acceleration_max: Array
 
 
 class Barriers(NamedTuple):
-    """Clearances that must not be used up.
+    """Reserves that must not be used up: clearances, and distances from singularities.
 
     Attributes:
-        gradient: (p, n) ∂ρ/∂q.
-        drift: (p,) ∂ρ/∂t from the obstacles' own motion [1/s].
-        clearance: (p,) ρ against the margin; negative when inside it.
+        gradient: (p, n) ∂h/∂q.
+        drift: (p,) ∂h/∂t from the obstacles' own motion [1/s].
+        reserve: (p,) h against the margin; negative inside it, where the arm has to get out.
+        soft: how many of the last rows are not urgent and give way before anything else does.
     """
 
     gradient: Array
     drift: Array
-    clearance: Array
-
-
-class SingularityBarrier(NamedTuple):
-    """The smallest singular value of J must not be used up either.
-
-    Attributes:
-        gradient: (n,) ∂σ/∂q.
-        reserve: σ above its margin; negative when closer to the singularity than that.
-    """
-
-    gradient: Array
-    reserve: float
+    reserve: Array
+    soft: int = 0
 
 
 class Filtered(NamedTuple):
@@ -148,17 +143,13 @@ def velocity_bounds(
     Returns:
         lower, upper, and whether they keep the acceleration limits.
     """
-    reach = stop / 2.0 + dt
-    change = limits.acceleration_max * dt
-    highest = np.minimum(
-        limits.velocity_max, np.maximum(limits.position_max - q, 0.0) / reach)
-    lowest = np.maximum(
-        -limits.velocity_max, np.minimum(limits.position_min - q, 0.0) / reach)
-    fastest, slowest = previous + change, previous - change
-    upper = np.minimum(np.maximum(fastest, lowest), highest)
-    lower = np.maximum(np.minimum(slowest, highest), lowest)
-    kept = bool((fastest >= lowest - _TOLERANCE).all() and (slowest <= highest + _TOLERANCE).all())
-    return lower, upper, kept
+    # Row 0 is the way up, row 1 the way down, both counted positive outwards.
+    room = np.maximum((limits.positions - q) * _OUTWARD, 0.0)
+    highest = np.minimum(limits.velocity_max, room / (stop / 2.0 + dt))
+    lowest = -highest[::-1]
+    reached = previous * _OUTWARD + limits.acceleration_max * dt
+    bounds = np.minimum(np.maximum(reached, lowest), highest)
+    return -bounds[1], bounds[0], bool((reached >= lowest - _TOLERANCE).all())
 
 
 def barrier_rate(gain: float, stop: float, dt: float) -> float:
@@ -170,23 +161,23 @@ def barrier_rate(gain: float, stop: float, dt: float) -> float:
 
 
 def barrier_bounds(barriers: Barriers, gain: float, stop: float, dt: float) -> Array:
-    """Return b (p,) of ∇ρ·q̇ ≥ b: −rate ρ − ∂ρ/∂t.
+    """Return b (p,) of ∇h·q̇ ≥ b: −rate h − ∂h/∂t.
 
-    Inside the margin (ρ < 0) the same line asks the pair to move apart.
+    Inside the margin (h < 0) the same line asks the pair to move apart.
 
     Args:
-        barriers: the near pairs.
-        gain: largest share of a clearance that may be used up per second [1/s].
+        barriers: what is near.
+        gain: largest share of a reserve that may be used up per second [1/s].
         stop: stopping time T that the next velocity may have [s].
         dt: [s].
     """
-    return -barrier_rate(gain, stop, dt) * barriers.clearance - barriers.drift
+    return -barrier_rate(gain, stop, dt) * barriers.reserve - barriers.drift
 
 
 def safe_velocity(
     desired: Array, exact: bool, jacobian: Array, twist: Array, q: Array, previous: Array,
     limits: Limits, barriers: Barriers, *, weights: Array, gain: float, may_yield: bool,
-    dt: float, singularity: SingularityBarrier | None = None,
+    dt: float,
 ) -> Filtered:
     """Return the admissible joint velocity nearest to the desired one.
 
@@ -197,18 +188,17 @@ def safe_velocity(
         twist: (m,) ẋ, drift feedback included.
         q, previous: (n,) measured positions and the velocity of the last tick.
         limits: of the joints.
-        barriers: of the near pairs.
+        barriers: of what is near.
         weights: (n,) diagonal of W.
         gain: barrier gain [1/s].
         may_yield: whether the path may give way to a barrier.
         dt: [s].
-        singularity: keeps away from one; gives way before anything else does, for leaving it is
-            never urgent.
     """
+    gradient = barriers.gradient
     a = limits.acceleration_max
     stop = stopping_time(previous, a)
     lower, upper, kept = velocity_bounds(q, previous, limits, stop + dt, dt)
-    gradient, bounds = _rows(barriers, singularity, gain, stop + dt, dt)
+    bounds = barrier_bounds(barriers, gain, stop + dt, dt)
     if kept:
         if exact and bool((desired >= lower).all() and (desired <= upper).all()
                           and (gradient @ desired >= bounds).all()):
@@ -225,7 +215,7 @@ def safe_velocity(
     low, high, _ = velocity_bounds(q, previous, limits, shorter, dt)
     low, high = (np.minimum(np.maximum(low, -a * shorter), high),
                  np.maximum(np.minimum(high, a * shorter), low))
-    gradient, bounds = _rows(barriers, singularity, gain, shorter, dt)
+    bounds = barrier_bounds(barriers, gain, shorter, dt)
     found = _solve(Stage.BRAKING, desired, jacobian, twist, coasting, low, high, gradient,
                    bounds, weights, share=share)
     if found is not None:
@@ -233,7 +223,8 @@ def safe_velocity(
     if not kept:
         # Speeding up would cost an acceleration limit later: brake, whatever else gives way.
         lower, upper = low, high
-    gradient, bounds = _rows(barriers, None, gain, stop + dt, dt)
+    urgent = len(gradient) - barriers.soft
+    gradient, bounds = gradient[:urgent], barrier_bounds(barriers, gain, stop + dt, dt)[:urgent]
     for stage in (Stage.YIELDING, Stage.FORCED) if may_yield else (Stage.FORCED,):
         found = _solve(stage, desired, jacobian, twist, coasting, lower, upper, gradient,
                        bounds, weights, share=share, path_gives_way=may_yield)
@@ -241,20 +232,6 @@ def safe_velocity(
             return found
     still = np.minimum(np.maximum(0.0, lower), upper)
     return Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE)
-
-
-def _rows(
-    barriers: Barriers, singularity: SingularityBarrier | None, gain: float, stop: float,
-    dt: float,
-) -> tuple[Array, Array]:
-    """Return all barriers as (gradient, bounds) of gradient · q̇ ≥ bounds."""
-    bounds = barrier_bounds(barriers, gain, stop, dt)
-    if singularity is None:
-        return barriers.gradient, bounds
-    # Closer than the margin the arm may stay where it is; it only may not get closer.
-    bound = -barrier_rate(gain, stop, dt) * max(singularity.reserve, 0.0)
-    return (np.concatenate((barriers.gradient, singularity.gradient[None])),
-            np.append(bounds, bound))
 
 
 def _solve(

@@ -8,7 +8,6 @@ import pytest
 from test_obstacles import random_scene
 
 from redundant_planner.core import indices, null_space as ns
-from redundant_planner.core.jacobian import jacobian_derivative_times, tool_derivative_times
 from redundant_planner.core.obstacles import clearance_gradients, link_clearance, Scene, whitening
 
 
@@ -29,17 +28,17 @@ def clearance_of(robot, q, obstacles, points, **options):
     scene = Scene.of(obstacles)
     if points == 'links':
         radii = [c.radius for c in robot.capsules]
-        start, end, count = arm.segment_start, arm.segment_end, robot.capsule_joint_count
+        start, end, moves = arm.segment_start, arm.segment_end, robot.moves
     else:
         radii = np.zeros(robot.n + 1)
-        start = end = arm.joint_points
-        count = np.minimum(np.arange(1, robot.n + 2), robot.n)
+        start = end = robot.joint_points(q)
+        moves = np.tril(np.ones((robot.n + 1, robot.n)))
     maps = whitening(scene, radii)
     pairs = link_clearance(maps, start, end)
-    value, slopes = indices.clearance_index(maps, pairs, **options)
+    value, slopes = indices.clearance_index(pairs.clearance, pairs.distance, **options)
     links, which = np.nonzero(slopes)
     gradient, _ = clearance_gradients(
-        maps, pairs, links, which, start, end, arm.columns, count)
+        maps, pairs, links, which, start, end, arm.columns, moves)
     return value, slopes[links, which] @ gradient
 
 
@@ -93,11 +92,7 @@ def shortest_path(robot, q, twist):
     gains = ns.inverse_gains(parts.singular_values, 0.0, 0.0)
     least = ns.least_norm(parts, gains, twist)
     dual = np.linalg.solve(arm.jacobian @ arm.jacobian.T, twist)
-    columns = (tool_derivative_times(arm.tip_jacobian, arm.tip_rotation, least)
-               if robot.command_frame == 'tool'
-               else jacobian_derivative_times(arm.tip_jacobian, least))
-    rows = robot.task_rows(np.arange(6)).astype(int)
-    return indices.shortest_path_index(least, dual, columns[rows])
+    return indices.shortest_path_index(least, dual, robot.jacobian_derivative_times(arm, least))
 
 
 def test_shortest_path_index_gradient(robot):
@@ -126,7 +121,7 @@ def test_shortest_path_index_with_joint_weights_and_prismatic_joints(paper_arm):
         gains = ns.inverse_gains(parts.singular_values, 0.0, 0.0)
         least = ns.least_norm(parts, gains, twist)
         dual = parts.left @ (gains**2 * (parts.left.T @ twist))
-        columns = jacobian_derivative_times(arm.tip_jacobian, scaling * least)[:3]
+        columns = paper_arm.jacobian_derivative_times(arm, scaling * least)
         actual, gradient = indices.shortest_path_index(least, dual, columns)
         assert actual == pytest.approx(value(q))
         expected = central_difference(value, q)

@@ -111,7 +111,7 @@ def test_gradients_match_finite_differences(robot):
         links, which = np.nonzero(pairs.clearance > -0.9)
         gradient, rate = clearance_gradients(
             maps, pairs, links, which, arm.segment_start, arm.segment_end, arm.columns,
-            robot.capsule_joint_count)
+            robot.moves)
         expected = central_difference(
             lambda p, o=obstacles: all_clearances(robot, p, o)[2].clearance, q)
         np.testing.assert_allclose(gradient, expected[links, which], rtol=1e-5, atol=1e-5)
@@ -129,7 +129,7 @@ def test_the_centre_of_an_ellipsoid_gives_finite_numbers(planar):
     arm, maps, pairs = all_clearances(planar, np.zeros(3), [obstacle])
     gradient, rate = clearance_gradients(
         maps, pairs, np.array([0]), np.array([0]), arm.segment_start, arm.segment_end,
-        arm.columns, planar.capsule_joint_count)
+        arm.columns, planar.moves)
     assert pairs.clearance[0, 0] == pytest.approx(-1.0)
     assert np.isfinite(gradient).all() and np.isfinite(rate).all()
 

@@ -16,7 +16,7 @@ from redundant_planner.core.safety import (
 )
 
 N, DT = 7, 0.004
-LIMITS = Limits(np.full(N, -1.0), np.full(N, 1.0), np.full(N, 2.0),
+LIMITS = Limits(np.outer([1.0, -1.0], np.ones(N)), np.full(N, 2.0),
                 np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]))
 NO_BARRIERS = Barriers(np.empty((0, N)), np.empty(0), np.empty(0))
 
@@ -43,8 +43,8 @@ def test_bounds_hold_for_any_input(seed, m, magnitude, pairs):
     assert 0.0 <= result.scale <= 1.0
     # Never further out than it is, and never past the limit within the tick.
     reached = q + DT * result.dq
-    assert (reached <= np.maximum(LIMITS.position_max, q) + 1e-9).all()
-    assert (reached >= np.minimum(LIMITS.position_min, q) - 1e-9).all()
+    assert (reached <= np.maximum(LIMITS.positions[0], q) + 1e-9).all()
+    assert (reached >= np.minimum(LIMITS.positions[1], q) - 1e-9).all()
 
 
 @settings(max_examples=100, deadline=None)
@@ -87,7 +87,7 @@ def test_the_arm_always_stops_before_its_limits(seed):
 
 def test_velocity_bounds_are_viable_one_joint_at_a_time():
     """Full speed at the limit until the bound says otherwise, then as hard as allowed."""
-    limits = Limits(np.array([-1.0]), np.array([1.0]), np.array([2.0]), np.array([5.0]))
+    limits = Limits(np.array([[1.0], [-1.0]]), np.array([2.0]), np.array([5.0]))
     q, dq = np.array([-0.5]), np.array([0.0])
     for _ in range(1000):
         stop = stopping_time(dq, limits.acceleration_max) + DT

@@ -15,7 +15,7 @@ from redundant_planner.core.robot import Capsule
 from redundant_planner.core.self_collision import distance_gradients, link_distances
 
 points = arrays(float, (4, 3), elements=st.floats(-1.0, 1.0))
-ONE, TWO = np.array([0]), np.array([1])
+PAIR = np.array([[0, 1]])
 
 
 @given(points, st.sampled_from(['free', 'parallel', 'point', 'points', 'crossing']))
@@ -30,7 +30,7 @@ def test_distance_of_two_segments_is_the_smallest(ends, kind):
     if kind == 'crossing':
         start[1], end[1] = 0.5 * (start[0] + end[0]) - ends[3], 0.5 * (start[0] + end[0]) + ends[3]
     radii = np.array([0.03, 0.05])
-    pairs = link_distances(start, end, radii, ONE, TWO)
+    pairs = link_distances(start, end, radii, PAIR)
     t = np.linspace(0.0, 1.0, 60)
     first = start[0] + t[:, None] * (end[0] - start[0])
     second = start[1] + t[:, None] * (end[1] - start[1])
@@ -41,28 +41,27 @@ def test_distance_of_two_segments_is_the_smallest(ends, kind):
 
 
 def test_gradients_match_finite_differences(robot):
-    first, second = np.triu_indices(len(robot.capsules), 1)
+    links = np.transpose(np.triu_indices(len(robot.capsules), 1))
+    moves = robot.moves[links[:, 0]] - robot.moves[links[:, 1]]
     radii = np.array([c.radius for c in robot.capsules])
 
     def at(q):
         arm = robot.kinematics(q)
-        return link_distances(arm.segment_start, arm.segment_end, radii, first, second)
+        return link_distances(arm.segment_start, arm.segment_end, radii, links)
 
     for q in random_postures(robot, 20):
         pairs = at(q)
         # At a joint that two links share they have no distance to differentiate.
         chosen = np.flatnonzero(
-            np.linalg.norm(pairs.first_point - pairs.second_point, axis=1) > 1e-3)
-        gradient = distance_gradients(
-            pairs, chosen, first, second, robot.kinematics(q).columns,
-            robot.capsule_joint_count)
+            np.linalg.norm(pairs.points[:, 0] - pairs.points[:, 1], axis=1) > 1e-3)
+        gradient = distance_gradients(pairs, chosen, robot.kinematics(q).columns, moves)
         expected = central_difference(lambda p: at(p).distance, q)[chosen]
         np.testing.assert_allclose(gradient, expected, atol=1e-5)
 
 
 def test_neighbours_and_what_always_touches_are_left_out(panda):
     names = [c.name for c in panda.capsules]
-    pairs = {frozenset((names[i], names[j])) for i, j in panda.self_pairs.T}
+    pairs = {frozenset((names[i], names[j])) for i, j in panda.self_pairs}
     assert frozenset(('link1', 'hand')) in pairs
     assert frozenset(('link3', 'hand')) in pairs
     assert frozenset(('link1', 'link2')) not in pairs
@@ -77,7 +76,7 @@ def test_a_planar_arm_does_not_fold_onto_itself():
     radii = np.full(3, 0.04)
 
     def smallest(postures):
-        return min(link_distances(arm.segment_start, arm.segment_end, radii, ONE, TWO + 1)
+        return min(link_distances(arm.segment_start, arm.segment_end, radii, np.array([[0, 2]]))
                    .distance[0] for arm in map(robot.kinematics, postures))
 
     twist = np.array([0.1, -0.3, 0, 0, 0, 0])
@@ -94,10 +93,9 @@ def test_a_panda_keeps_its_hand_off_its_shoulder(panda):
     planner = Planner(panda, PlannerParameters())
     twist = np.array([-0.2, 0.0, -0.05, 0.0, 0.0, 0.0])
     postures, results = drive(planner, PANDA_READY, twist, NOTHING, 4.0)
-    first, second = panda.self_pairs
     radii = np.array([c.radius for c in panda.capsules])
     distances = np.array([
-        link_distances(arm.segment_start, arm.segment_end, radii, first, second).distance.min()
+        link_distances(arm.segment_start, arm.segment_end, radii, panda.self_pairs).distance.min()
         for arm in map(panda.kinematics, postures[::5])])
     begun_free = distances[0] > 0.005
     assert begun_free and distances.min() > 0.0045

@@ -1,0 +1,210 @@
+"""What users would pick instead, on the very same arm: mink and pink, driven tick by tick.
+
+Both get the joint limits of position and velocity, this package's capsules and obstacles, and
+the pose where the tip should be after the tick. Neither limits accelerations; that is in their
+favour. They come with `pip install mink pin-pink` (see CONTRIBUTING.md), for benchmarks only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Protocol
+
+import coal
+import mink
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import pink
+from pink.barriers import SelfCollisionBarrier
+from pink.limits import ConfigurationLimit, VelocityLimit
+import pinocchio as pin
+
+from redundant_planner.core.drift import Pose
+from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.robot import Capsule, Robot
+
+Array = npt.NDArray[np.float64]
+
+# A share of the task's weight on every joint: without it the least norm is not well defined.
+_DAMPING = 1e-8
+# Distance from which mink looks at a pair [m], and pink's barrier gain [1/s].
+_DETECTION = 0.1
+_PINK_GAIN = 5.0
+_SOLVER = 'daqp'
+
+
+class Peer(Protocol):
+    """A library bound to one arm and one set of obstacles."""
+
+    def step(self, q: Array, target: Pose, dt: float) -> Array:
+        """Return the joint velocities (n,) towards a tip pose that is due after `dt`.
+
+        Zero where the library finds no solution.
+        """
+
+    def move(self, obstacles: Sequence[Obstacle]) -> None:
+        """Take the same obstacles' new places."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what is compared."""
+    return {name: version(name) for name in ('mink', 'mujoco', 'pin-pink', 'pin', 'daqp')}
+
+
+class Mink:
+    """mink with its frame task, its limits and its collision avoidance."""
+
+    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle], margin: float) -> None:
+        """Build the MuJoCo model; `margin` is kept between links and obstacles [m]."""
+        self._model = mujoco.MjModel.from_xml_string(mjcf(robot, obstacles))
+        self._configuration = mink.Configuration(self._model)
+        position, rotation = _costs(robot)
+        self._task = mink.FrameTask('tip', 'site', position, rotation)
+        links = [f'link{i}' for i in range(len(robot.capsules))]
+        self._limits = [
+            mink.ConfigurationLimit(self._model),
+            mink.VelocityLimit(self._model, dict(zip(
+                robot.joint_names, robot.velocity_max.tolist()))),
+        ]
+        if obstacles:
+            self._limits.append(mink.CollisionAvoidanceLimit(
+                self._model, [(links, [f'obstacle{i}' for i in range(len(obstacles))])],
+                minimum_distance_from_collisions=margin,
+                collision_detection_distance=_DETECTION))
+
+    def step(self, q: Array, target: Pose, dt: float) -> Array:
+        """See `Peer`."""
+        self._configuration.update(q)
+        self._task.set_target(mink.SE3.from_rotation_and_translation(
+            mink.SO3.from_matrix(target.rotation), target.position))
+        try:
+            return np.array(mink.solve_ik(
+                self._configuration, [self._task], dt, _SOLVER, damping=_DAMPING,
+                limits=self._limits))
+        except mink.NoSolutionFound:
+            return np.zeros(len(q))
+
+    def move(self, obstacles: Sequence[Obstacle]) -> None:
+        """See `Peer`."""
+        for i, obstacle in enumerate(obstacles):
+            self._configuration.data.mocap_pos[i] = obstacle.center
+
+
+class Pink:
+    """pink with its frame task, its limits and its collision barrier."""
+
+    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle], margin: float) -> None:
+        """Add the capsules and obstacles to Pinocchio's geometry model; margin in [m]."""
+        self._robot, self._model = robot, robot.model.copy()
+        self._model.velocityLimit = robot.velocity_max
+        geometry = pin.GeometryModel()
+        links = []
+        for i, capsule in enumerate(robot.capsules):
+            joint, start, end = _in_joint(robot, capsule)
+            shape = coal.Capsule(max(capsule.radius, 1e-5), max(_distance(start, end), 1e-6))
+            links.append(geometry.addGeometryObject(pin.GeometryObject(
+                f'link{i}', joint, pin.SE3(_turned(end - start), 0.5 * (start + end)), shape)))
+        self._obstacle_ids = []
+        for i, obstacle in enumerate(obstacles):
+            body = geometry.addGeometryObject(pin.GeometryObject(
+                f'obstacle{i}', 0, pin.SE3(obstacle.rotation, obstacle.center),
+                coal.Ellipsoid(*obstacle.semi_axes.tolist())))
+            self._obstacle_ids.append(body)
+            for link in links:
+                geometry.addCollisionPair(pin.CollisionPair(link, body))
+        self._configuration = pink.Configuration(
+            self._model, self._model.createData(), pin.neutral(self._model),
+            collision_model=geometry)
+        position, rotation = _costs(robot)
+        self._task = pink.FrameTask(robot.tip_frame, position, rotation)
+        self._barriers = [SelfCollisionBarrier(
+            len(geometry.collisionPairs), gain=_PINK_GAIN, safe_displacement_gain=0.0,
+            d_min=margin)] if obstacles else []
+        self._limits = [ConfigurationLimit(self._model, 1.0), VelocityLimit(self._model)]
+
+    def step(self, q: Array, target: Pose, dt: float) -> Array:
+        """See `Peer`."""
+        self._configuration.update(q)
+        self._task.set_target(pin.SE3(target.rotation, target.position))
+        try:
+            return np.array(pink.solve_ik(
+                self._configuration, [self._task], dt, _SOLVER, damping=_DAMPING,
+                limits=self._limits, barriers=self._barriers, safety_break=False))
+        except pink.NoSolutionFound:
+            return np.zeros(len(q))
+
+    def move(self, obstacles: Sequence[Obstacle]) -> None:
+        """See `Peer`."""
+        for body, obstacle in zip(self._obstacle_ids, obstacles):
+            self._configuration.collision_model.geometryObjects[body].placement = pin.SE3(
+                obstacle.rotation, obstacle.center)
+
+
+def mjcf(robot: Robot, obstacles: Sequence[Obstacle]) -> str:
+    """Return the arm's chain, its capsules and the obstacles as a MuJoCo model."""
+    model = robot.model
+    shapes: dict[int, list[str]] = {}
+    for i, capsule in enumerate(robot.capsules):
+        joint, start, end = _in_joint(robot, capsule)
+        radius = max(capsule.radius, 1e-5)
+        shape = (f'type="sphere" size="{radius}" pos="{_text(start)}"'
+                 if _distance(start, end) < 1e-6 else
+                 f'type="capsule" size="{radius}" fromto="{_text(start)} {_text(end)}"')
+        shapes.setdefault(joint, []).append(f'<geom name="link{i}" {shape}/>')
+    body = ''.join(shapes.get(0, []))
+    for i in range(1, robot.n + 1):
+        placement, joint = model.jointPlacements[i], model.joints[i]
+        subspace = np.array(joint.createData().S).reshape(6)
+        turning = bool(np.any(subspace[3:]))
+        low, high = robot.position_min[i - 1], robot.position_max[i - 1]
+        limited = np.isfinite(low) and np.isfinite(high)
+        reach = f'limited="true" range="{low} {high}"' if limited else 'limited="false"'
+        body += (
+            f'<body {_placed(placement)}><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+            f'<joint name="{robot.joint_names[i - 1]}" type="{"hinge" if turning else "slide"}" '
+            f'axis="{_text(subspace[3:] if turning else subspace[:3])}" {reach}/>'
+            + ''.join(shapes.get(i, [])))
+    tip = model.frames[model.getFrameId(robot.tip_frame)].placement
+    body += f'<site name="tip" {_placed(tip)}/>' + '</body>' * robot.n
+    for i, obstacle in enumerate(obstacles):
+        at = pin.SE3(obstacle.rotation, obstacle.center)
+        body += (f'<body mocap="true" {_placed(at)}><geom name="obstacle{i}" type="ellipsoid" '
+                 f'size="{_text(obstacle.semi_axes)}"/></body>')
+    return ('<mujoco><compiler angle="radian"/>'
+            f'<worldbody>{body}</worldbody></mujoco>')
+
+
+def _in_joint(robot: Robot, capsule: Capsule) -> tuple[int, Array, Array]:
+    """Return a capsule's joint and its ends in that joint's frame."""
+    frame = robot.model.frames[robot.model.getFrameId(capsule.frame)]
+    return (int(frame.parentJoint), frame.placement.act(np.array(capsule.start)),
+            frame.placement.act(np.array(capsule.end)))
+
+
+def _costs(robot: Robot) -> tuple[list[float], list[float]]:
+    cost = robot.full_twist(np.ones(robot.m))
+    return cost[:3].tolist(), cost[3:].tolist()
+
+
+def _distance(a: Array, b: Array) -> float:
+    return float(np.linalg.norm(b - a))
+
+
+def _turned(direction: Array) -> Array:
+    """Return a rotation that takes z to `direction`."""
+    size = float(np.linalg.norm(direction))
+    if size < 1e-9:
+        return np.eye(3)
+    return np.array(pin.Quaternion.FromTwoVectors(
+        np.array([0.0, 0.0, 1.0]), direction / size).matrix())
+
+
+def _text(values: Array) -> str:
+    return ' '.join(repr(float(value)) for value in values)
+
+
+def _placed(placement: pin.SE3) -> str:
+    x, y, z, w = pin.Quaternion(placement.rotation).coeffs()
+    return f'pos="{_text(placement.translation)}" quat="{_text(np.array([w, x, y, z]))}"'
