@@ -148,9 +148,9 @@ def _static_obstacles(
         sample, link = random.integers(_SAMPLES // 3, _SAMPLES), random.choice(links)
         t = random.uniform()
         on_link = (1 - t) * ends[0][sample, link] + t * ends[1][sample, link]
-        # From half-way into the link to just touching it from outside.
+        # From well into the link to just clear of it, on average.
         direction = random.normal(size=3)
-        offset = random.uniform(0.5, 1.0) * (robot.capsules[link].radius + sum(_SIZE) / 2.0)
+        offset = random.uniform(0.8, 1.3) * (robot.capsules[link].radius + sum(_SIZE) / 2.0)
         center = on_link + offset * direction / np.linalg.norm(direction)
         obstacle = _random_ellipsoid(f'obstacle{len(found)}', center, _SIZE, random)
         clear_start = _clearances(robot, obstacle, (ends[0][:1], ends[1][:1]),

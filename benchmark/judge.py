@@ -30,6 +30,8 @@ class Verdict:
         limit_violation: largest excess over a position, velocity or acceleration limit, as a
             share of that limit (positions: in rad, m).
         path_error: largest distance of the tip from the commanded path [m].
+        turn_error: largest angle between the tip's orientation and the path's nearest one [rad];
+            0 where orientation is not controlled.
         final_error: distance of the tip from the path at the end [m].
         completed: whether the tip reached the path's end, to 1 mm.
         cost: ∫q̇ᵀq̇ dt.
@@ -40,6 +42,7 @@ class Verdict:
     nearest: str
     limit_violation: float
     path_error: float
+    turn_error: float
     final_error: float
     completed: bool
     cost: float
@@ -64,9 +67,15 @@ class Judge:
             if distance < closest:
                 closest, nearest = distance, f'{names} at {i * dt:.2f} s'
         # The path as a line: where along it the tip is does not matter, only how far off.
-        path = np.array([pose.position for pose in path_poses(robot, task, dt)])
-        tips = np.array([robot.kinematics(q).tip_position for q in postures])
+        poses = path_poses(robot, task, dt)
+        path = np.array([pose.position for pose in poses])
+        arms = [robot.kinematics(q) for q in postures]
+        tips = np.array([arm.tip_position for arm in arms])
         errors = distance_to_path(tips[::_STRIDE], path[::10])
+        turn = 0.0
+        if robot.m == 6:
+            turn = max(_angle(arm.tip_rotation, poses[nearest_index(path, arm.tip_position)]
+                              .rotation) for arm in arms[::_STRIDE])
         change = np.diff(np.vstack((np.zeros(robot.n), velocities)), axis=0) / dt
         excess = max(
             float((postures - robot.position_max).max()),
@@ -75,7 +84,7 @@ class Judge:
             float((np.abs(change) / robot.acceleration_max).max() - 1.0), 0.0)
         return Verdict(
             closest, nearest, excess if excess > _TOLERANCE else 0.0, float(errors.max()),
-            float(errors[-1]), bool(np.linalg.norm(tips[-1] - path[-1]) < 1e-3),
+            turn, float(errors[-1]), bool(np.linalg.norm(tips[-1] - path[-1]) < 1e-3),
             float(np.square(velocities).sum() * dt),
             float(np.abs(np.diff(postures, axis=0)).sum()))
 
@@ -98,6 +107,15 @@ class Judge:
                 if distance < best:
                     best, names = float(distance), f'{capsule.name} to {obstacle.name}'
         return best, names
+
+
+def nearest_index(path: Array, point: Array) -> int:
+    """Return the index of the path's point (k, 3) nearest to a point."""
+    return int(np.square(path - point).sum(axis=1).argmin())
+
+
+def _angle(first: Array, second: Array) -> float:
+    return float(np.linalg.norm(pin.log3(first.T @ second)))
 
 
 def _length(capsule: object) -> float:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 import json
 from pathlib import Path
 import time
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +17,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmark.generator import DURATION, generate, Task
+from benchmark.generator import DURATION, generate, path_poses, Task
 from benchmark.judge import Judge, Verdict
 from redundant_planner.analysis.reproduce_paper import find_panda
 from redundant_planner.core.obstacles import Scene
@@ -25,9 +27,13 @@ from redundant_planner.core.robot import AXES, Robot
 from redundant_planner.resources import share_directory
 from redundant_planner.robot_parameters import load_robot
 
+if TYPE_CHECKING:
+    from benchmark.peers import Peer
+
 Array = npt.NDArray[np.float64]
 
 DT = 0.004
+_TURN = np.deg2rad(0.5)
 METHODS = {
     'least_norm': PlannerParameters(k_w=0.0, k_f=0.0, safety_filter=False),
     'gradient_projection': PlannerParameters(
@@ -35,6 +41,7 @@ METHODS = {
     'dynamic_factor_unfiltered': PlannerParameters(safety_filter=False),
     'dynamic_factor': PlannerParameters(),
 }
+PEERS = {'mink': 'Mink', 'pink': 'Pink'}
 
 
 @dataclass(frozen=True)
@@ -44,7 +51,7 @@ class Outcome:
     Attributes:
         task: its seed.
         verdict: of the judge.
-        tracked: completed with s > 0.99 throughout and less than 1 mm off.
+        tracked: completed with s > 0.99 throughout, less than 1 mm and 0.5 degrees off.
         reasons: what the planner said, each once.
         tick_us: (k,) time of every tick.
     """
@@ -79,11 +86,40 @@ def run_planner(
         slowest = min(slowest, result.scale)
         if result.reason:
             reasons[result.reason] = None
+    return _outcome(judge, task, postures, velocities, slowest > 0.99, tuple(reasons), ticks)
+
+
+def run_peer(
+    robot: Robot, library: Callable[..., Peer], judge: Judge, task: Task,
+) -> Outcome:
+    """Run another library in closed loop with an ideal arm, with the same margin."""
+    peer = library(robot, task.obstacles, PlannerParameters().clearance_margin)
+    poses = path_poses(robot, task, DT)
+    count = len(poses) - 1
+    postures = np.empty((count + 1, robot.n))
+    postures[0] = task.start
+    velocities, ticks = np.empty((count, robot.n)), np.empty(count)
+    moving = any(o.velocity.any() for o in task.obstacles)
+    for i in range(count):
+        if moving:
+            peer.move(task.obstacles_at(i * DT))
+        begin = time.perf_counter()
+        velocities[i] = peer.step(postures[i], poses[i + 1], DT)
+        ticks[i] = time.perf_counter() - begin
+        postures[i + 1] = postures[i] + DT * velocities[i]
+    return _outcome(judge, task, postures, velocities, True, (), ticks)
+
+
+def _outcome(
+    judge: Judge, task: Task, postures: Array, velocities: Array, on_time: bool,
+    reasons: tuple[str, ...], ticks: Array,
+) -> Outcome:
     verdict = judge.judge(task, postures, velocities, DT)
     # At the very start s is below 1 while the arm takes up speed; the profile is smooth, so the
     # end of the path tells whether anything was lost.
-    tracked = slowest > 0.99 and verdict.path_error < 1e-3 and verdict.completed
-    return Outcome(task.seed, verdict, tracked, tuple(reasons), 1e6 * ticks)
+    tracked = (on_time and verdict.path_error < 1e-3 and verdict.turn_error < _TURN
+               and verdict.completed)
+    return Outcome(task.seed, verdict, tracked, reasons, 1e6 * ticks)
 
 
 def summarise(outcomes: list[Outcome]) -> dict[str, object]:
@@ -95,6 +131,7 @@ def summarise(outcomes: list[Outcome]) -> dict[str, object]:
         'limit_violations': sum(v.limit_violation > 0.0 for v in verdicts),
         'tracked': float(np.mean([o.tracked for o in outcomes])),
         'max_path_error_mm': 1e3 * max(v.path_error for v in verdicts),
+        'max_turn_error_deg': float(np.rad2deg(max(v.turn_error for v in verdicts))),
         'max_final_error_mm': 1e3 * max(v.final_error for v in verdicts),
         'min_distance_mm': 1e3 * min(v.min_distance for v in verdicts),
         'cost_median': float(np.median([v.cost for v in verdicts])),
@@ -125,8 +162,17 @@ def make_robot(name: str, axes: int) -> Robot:
 def runners(robot: Robot, judge: Judge, names: list[str]) -> dict[
         str, Callable[[Task], Outcome]]:
     """Return method name → function of a task."""
-    return {name: (lambda task, p=METHODS[name]: run_planner(robot, p, judge, task))
-            for name in names}
+    found: dict[str, Callable[[Task], Outcome]] = {}
+    for name in names:
+        if name in METHODS:
+            found[name] = partial(run_planner, robot, METHODS[name], judge)
+        else:
+            try:
+                from benchmark import peers
+            except ImportError as error:
+                raise SystemExit(f'{name}: {error}; pip install mink pin-pink') from None
+            found[name] = partial(run_peer, robot, getattr(peers, PEERS[name]), judge)
+    return found
 
 
 def main() -> None:
@@ -136,8 +182,9 @@ def main() -> None:
     parser.add_argument('--axes', type=int, choices=(3, 6), default=6)
     parser.add_argument('--count', type=int, default=50)
     parser.add_argument('--seed', type=int, default=0, help='first seed')
-    parser.add_argument('--method', action='append', choices=METHODS,
-                        help='may be given more than once; all if not given')
+    parser.add_argument('--method', action='append', choices=[*METHODS, *PEERS],
+                        help="may be given more than once; this package's if not given; mink and "
+                        'pink have to be installed')
     parser.add_argument('--moving', action='store_true', help='obstacles move through the arm')
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
