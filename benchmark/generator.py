@@ -42,9 +42,10 @@ class Task:
     twist: Array
     obstacles: tuple[Obstacle, ...]
 
-    def twist_at(self, time: float) -> Array:
-        """Return the commanded twist (6,)."""
-        return self.twist * np.sin(np.pi * min(max(time / DURATION, 0.0), 1.0)) ** 2
+    def twist_at(self, time: float | Array) -> Array:
+        """Return the commanded twist (6,), or (k, 6) at k times."""
+        share = np.minimum(np.maximum(np.asarray(time) / DURATION, 0.0), 1.0)
+        return np.sin(np.pi * share)[..., None] ** 2 * self.twist
 
     def obstacles_at(self, time: float) -> tuple[Obstacle, ...]:
         """Return the obstacles where they are at `time`."""

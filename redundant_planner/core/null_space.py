@@ -55,18 +55,18 @@ def inverse_gains(singular_values: Array, threshold: float, damping: float) -> A
     threshold of 0 never damps; directions of exactly no gain then get none.
 
     Args:
-        singular_values: (m,) descending.
+        singular_values: (m,) or (N, m), descending.
         threshold: where damping begins [unit of J].
         damping: λ at σ = 0 [unit of J].
     """
-    smallest = singular_values[-1]
-    if smallest >= threshold:
-        squared = 0.0
-    else:
-        squared = damping * damping * (1.0 - (smallest / threshold) ** 2)
+    squared: Array | float = 0.0
+    if threshold > 0.0:
+        share = np.minimum(singular_values[..., -1:] / threshold, 1.0)
+        squared = damping * damping * (1.0 - share * share)
     denominator = singular_values * singular_values + squared
+    floor = (_RANK_TOLERANCE * singular_values[..., :1]) ** 2
     return np.divide(singular_values, denominator, out=np.zeros_like(singular_values),
-                     where=denominator > (_RANK_TOLERANCE * singular_values[0]) ** 2)
+                     where=denominator > floor)
 
 
 def least_norm(parts: Decomposition, gains: Array, twist: Array) -> Array:

@@ -142,6 +142,7 @@ class Whitening(NamedTuple):
         smallest: (c, k) smallest inflated semi-axis [m].
         velocities: (k, 3) obstacle velocities in the base frame [m/s].
         speeds: (k,) their size [m/s].
+        moving: whether any obstacle has a velocity.
     """
 
     maps: Array
@@ -149,6 +150,7 @@ class Whitening(NamedTuple):
     smallest: Array
     velocities: Array
     speeds: Array
+    moving: bool
 
 
 def whitening(scene: Scene, radii: npt.ArrayLike) -> Whitening:
@@ -159,12 +161,13 @@ def whitening(scene: Scene, radii: npt.ArrayLike) -> Whitening:
     maps = np.empty((len(radii), 4, 3, len(scene.names)))
     maps[:, :3] = matrices.transpose(0, 3, 2, 1)
     maps[:, 3] = -(matrices @ scene.centers[:, :, None])[..., 0].transpose(0, 2, 1)
+    speeds = np.sqrt(np.square(scene.velocities).sum(axis=-1))
     return Whitening(maps.reshape(len(radii), 4, -1), matrices, inflated.min(axis=-1),
-                     scene.velocities, np.sqrt(np.square(scene.velocities).sum(axis=-1)))
+                     scene.velocities, speeds, bool(speeds.any()))
 
 
 class Pairs(NamedTuple):
-    """Every link × every obstacle.
+    """Every link × every obstacle, at one posture or at each of N postures (then N leads).
 
     Attributes:
         whitened: (c, 3, k) y at the link's nearest point, |y| = ρ + 1.
@@ -179,28 +182,35 @@ class Pairs(NamedTuple):
     parameter: Array
 
 
-def link_clearance(maps: Whitening, start: Array, end: Array) -> Pairs:
+def link_clearance(
+    maps: Whitening, start: Array, end: Array, times: Array | None = None,
+) -> Pairs:
     """Return the smallest ρ of every obstacle over every whole link, in closed form.
 
     S(t) = |y₀ + t d|² − 1 has its minimum over [0, 1] at t = clip(−y₀·d / d·d).
 
     Args:
         maps: from `whitening`, with one row per link.
-        start: (c, 3) segment starts in the base frame [m].
-        end: (c, 3) segment ends in the base frame [m].
+        start: (c, 3) segment starts in the base frame [m], or (N, c, 3).
+        end: likewise, segment ends.
+        times: (N,) with N postures, when each of them is reached: obstacles that move have
+            moved by then [s].
     """
-    ends = np.zeros((len(start), 2, 4))
-    ends[:, 0, :3] = start
-    ends[:, 0, 3] = 1.0
-    ends[:, 1, :3] = end - start
+    ends = np.zeros((*start.shape[:-1], 2, 4))
+    ends[..., 0, :3] = start
+    ends[..., 0, 3] = 1.0
+    ends[..., 1, :3] = end - start
     # One product takes every link's start and direction to every obstacle's coordinates.
-    whitened = (ends @ maps.maps).reshape(len(start), 2, 3, maps.smallest.shape[1])
-    first, along = whitened[:, 0], whitened[:, 1]
-    squared = (along * along).sum(axis=1)
-    parameter = -(first * along).sum(axis=1) / np.maximum(squared, np.finfo(float).tiny)
+    whitened = (ends @ maps.maps).reshape(*start.shape[:-1], 2, 3, -1)
+    first, along = whitened[..., 0, :, :], whitened[..., 1, :, :]
+    if times is not None and maps.moving:
+        flow = (maps.matrices @ maps.velocities[:, :, None])[..., 0].transpose(0, 2, 1)
+        first = first - times[:, None, None, None] * flow
+    squared = (along * along).sum(axis=-2)
+    parameter = -(first * along).sum(axis=-2) / np.maximum(squared, np.finfo(float).tiny)
     parameter = np.minimum(np.maximum(parameter, 0.0), 1.0)
-    nearest = first + parameter[:, None] * along
-    clearance = np.sqrt((nearest * nearest).sum(axis=1)) - 1.0
+    nearest = first + parameter[..., None, :] * along
+    clearance = np.sqrt((nearest * nearest).sum(axis=-2)) - 1.0
     return Pairs(nearest, clearance, clearance * maps.smallest, parameter)
 
 
@@ -210,8 +220,8 @@ def pseudo_distance(clearance: Array) -> Array:
 
 
 def clearance_gradients(
-    maps: Whitening, pairs: Pairs, links: npt.NDArray[np.intp], obstacles: npt.NDArray[np.intp],
-    start: Array, end: Array, columns: Array, moves: Array,
+    maps: Whitening, pairs: Pairs, chosen: tuple[npt.NDArray[np.intp], ...], start: Array,
+    end: Array, columns: Array, moves: Array,
 ) -> tuple[Array, Array]:
     """Return ∂ρ/∂q and ∂ρ/∂t of the chosen pairs.
 
@@ -220,23 +230,30 @@ def clearance_gradients(
     ∂ρ/∂q_j = ∇ₓρ · v_j + (x × ∇ₓρ) · w_j for the joints that move the link.
 
     Args:
-        maps, pairs: of the same scene and posture.
-        links, obstacles: (p,) indices of the chosen pairs.
-        start, end: (c, 3) the segments [m].
-        columns: (6, n) joint screws at the base origin.
+        maps, pairs: of the same scene and posture, or postures.
+        chosen: (p,) indices of links and of obstacles; with N postures theirs come first.
+        start, end: the segments, as for `link_clearance` [m].
+        columns: (6, n) joint screws at the base origin, or (N, 6, n).
         moves: (c, n) 1 where a joint moves a link, else 0.
 
     Returns:
         (p, n) gradients in q, and (p,) rates of ρ caused by the obstacles' own motion.
     """
-    y = pairs.whitened[links, :, obstacles]
+    *segment, obstacles = chosen
+    link, segments = segment[-1], tuple(segment)
+    y = pairs.whitened[(*segments, slice(None), obstacles)]
     # In an ellipsoid's very centre every direction is as good: the guard leaves a zero gradient.
-    y /= np.maximum(pairs.clearance[links, obstacles] + 1.0, 1e-9)[:, None]
-    slope = (y[:, None] @ maps.matrices[links, obstacles])[:, 0]
-    first = start[links]
-    point = first + pairs.parameter[links, obstacles][:, None] * (end[links] - first)
-    gradient = (wrenches(point, slope) @ columns) * moves[links]
-    if not maps.speeds.any():
+    y /= np.maximum(pairs.clearance[chosen] + 1.0, 1e-9)[:, None]
+    slope = (y[:, None] @ maps.matrices[link, obstacles])[:, 0]
+    first = start[segments]
+    point = first + pairs.parameter[chosen][:, None] * (end[segments] - first)
+    wrench = wrenches(point, slope)
+    if len(segments) == 1:
+        gradient = wrench @ columns
+    else:
+        gradient = (wrench[:, None] @ columns[segments[0]])[:, 0]
+    gradient *= moves[link]
+    if not maps.moving:
         return gradient, np.zeros(len(y))
     return gradient, -(slope * maps.velocities[obstacles]).sum(axis=-1)
 

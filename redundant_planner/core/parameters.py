@@ -99,7 +99,7 @@ def _scalar(name: str, spec: Spec, kind: type, value: Any) -> Any:
     return value
 
 
-METHODS = ('gradient_projection', 'dynamic_factor')
+METHODS = ('gradient_projection', 'dynamic_factor', 'variational')
 CLEARANCE_POINTS = ('links', 'joints')
 PATH_PRIORITIES = ('yield', 'strict')
 
@@ -115,8 +115,9 @@ class PlannerParameters:
     method: str = parameter(
         'dynamic_factor', choices=METHODS, runtime=True,
         description='How the null-space motion is scaled: by a fixed factor '
-                    '(gradient_projection, the traditional method) or by Eq. 2 '
-                    '(dynamic_factor).')
+                    '(gradient_projection, the traditional method), by Eq. 2 (dynamic_factor), '
+                    'or so that the joint path over the horizon becomes the shortest '
+                    '(variational).')
     k_fixed: float = parameter(
         6.2e-4, low=0.0, runtime=True,
         description='Factor k of Eq. 1 for gradient_projection. Too large and the arm oscillates '
@@ -154,6 +155,15 @@ class PlannerParameters:
     damping_threshold: float = parameter(
         0.03, low=0.0, unit='m', runtime=True,
         description='Smallest singular value of J below which damping sets in; 0 never damps.')
+    horizon: float = parameter(
+        2.0, low=0.05, high=30.0, unit='s', runtime=True,
+        description='How far variational looks ahead. Too short and it turns away late, as the '
+                    'other methods do; too long for a command that is only held and it plans '
+                    'for what will not be commanded.')
+    horizon_nodes: int = parameter(
+        12, low=2, high=200, runtime=True,
+        description='Postures that variational plans within the horizon. Each costs computing '
+                    'time; too few and it cuts corners.')
     joint_weights: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e6,
         description='Cost of moving each joint, one value per joint, empty for 1 everywhere. '

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from redundant_planner.core import drift, indices, null_space, safety
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
+from redundant_planner.core.horizon import Horizon, node_times, poses_ahead, TwistAhead
 from redundant_planner.core.obstacles import (
     clearance_gradients,
     link_clearance,
@@ -167,6 +168,10 @@ class Planner:
         self._self_known: tuple[Array, Array] | None = None
         self._weights = weights
         self._scaling = 1.0 / np.sqrt(weights)
+        self._horizon = Horizon(
+            robot, node_times(parameters.horizon, parameters.horizon_nodes), self._scaling,
+            robot.position_min + margin, robot.position_max - margin, parameters.damping,
+            parameters.damping_threshold)
         self._limits = safety.Limits(
             np.array((robot.position_max - margin, robot.position_min + margin)),
             robot.velocity_max, robot.acceleration_max)
@@ -178,13 +183,16 @@ class Planner:
         self._followed: Array = np.zeros(self.robot.m)
         self._reference: Pose | None = None
         self._self_known = None
+        self._horizon.reset()
 
     @property
     def reference(self) -> Pose | None:
         """Where the tip should be now; None before the first tick after a reset."""
         return self._reference
 
-    def step(self, q: Array, twist: Array, scene: Scene, dt: float) -> StepResult:
+    def step(
+        self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
+    ) -> StepResult:
         """Return the joint velocity for the next `dt`.
 
         Args:
@@ -193,6 +201,9 @@ class Planner:
                 that are not controlled do not count.
             scene: the obstacles. Pass the same object while nothing changes.
             dt: time until the next tick [s].
+            ahead: what will be commanded, times from now (N,) [s] → twists (N, 6), for the
+                variational method; None if only the present command is known, which is then
+                held.
 
         Raises:
             StateError: `q` or `twist` does not fit the robot, or `dt` is not positive.
@@ -219,13 +230,19 @@ class Planner:
         pace = self._pace(dt)
         maps, pairs = self._clearances(arm, scene)
         near = self._near(arm, maps, pairs, pace)
+        shortest = None
+        if p.method == 'variational':
+            shortest = self._shortest_path(arm, command, ahead, maps, dt)
         level, clearance = self._clearance_gradient(arm, near, scene)
-        gradient = self._total_gradient(arm, clearance, parts, gains, least_norm, task)
-        projected = null_space.project(parts, gradient * self._scaling)
-        factor = p.k_fixed
-        if p.method == 'dynamic_factor':
-            factor = null_space.dynamic_factor(
-                p.k_alpha, _size(least_norm), _size(projected))
+        if shortest is not None:
+            factor, projected = 1.0, null_space.project(parts, shortest / self._scaling)
+        else:
+            gradient = self._total_gradient(arm, clearance, parts, gains, least_norm, task)
+            projected = null_space.project(parts, gradient * self._scaling)
+            factor = p.k_fixed
+            if p.method != 'gradient_projection':
+                factor = null_space.dynamic_factor(
+                    p.k_alpha, _size(least_norm), _size(projected))
         least_norm = self._scaling * least_norm
         homogeneous = self._scaling * (factor * projected)
         dq = least_norm + homogeneous  # Eq. 1
@@ -284,6 +301,23 @@ class Planner:
             self._reference = drift.displaced(pose, kept, frame)
         return kept
 
+    def _shortest_path(
+        self, arm: Kinematics, command: Array, ahead: TwistAhead | None, maps: Whitening,
+        dt: float,
+    ) -> Array | None:
+        """Return the velocity (n,) of the shortest joint path ahead, None where there is none."""
+        assert self._reference is not None
+        horizon, controlled = self._horizon, self._controlled
+
+        def twist_ahead(times: Array) -> Array:
+            if ahead is None:
+                return np.broadcast_to(command, (len(times), 6))
+            return np.where(controlled, ahead(times), 0.0)
+
+        poses = poses_ahead(
+            self._reference, twist_ahead, horizon.times, self.robot.command_frame)
+        return horizon.advance(arm.q, poses, maps, dt)
+
     def _clearances(self, arm: Kinematics, scene: Scene) -> tuple[Whitening, Pairs]:
         """Return every link × every obstacle; links carry the clearance margin."""
         if self._maps_of is None or self._maps_of[0] is not scene:
@@ -304,12 +338,11 @@ class Planner:
             chosen = pairs.distance <= np.maximum(speeds / pace.rate, within)
         else:
             chosen = pairs.distance <= within
-        links, obstacles = chosen.nonzero()
+        near = chosen.nonzero()
         gradient, rate = clearance_gradients(
-            maps, pairs, links, obstacles, arm.segment_start, arm.segment_end, arm.columns,
+            maps, pairs, near, arm.segment_start, arm.segment_end, arm.columns,
             self.robot.moves)
-        return _Near(links, obstacles, pairs.clearance[links, obstacles],
-                     pairs.distance[links, obstacles], gradient, rate)
+        return _Near(*near, pairs.clearance[near], pairs.distance[near], gradient, rate)
 
     def _clearance_gradient(
         self, arm: Kinematics, near: _Near, scene: Scene,
@@ -322,9 +355,9 @@ class Planner:
             maps = whitening(scene, np.zeros(len(points)))
             pairs = link_clearance(maps, points, points)
             clearance, distance = pairs.clearance.ravel(), pairs.distance.ravel()
-            which, obstacles = np.indices(pairs.clearance.shape).reshape(2, -1)
+            every = np.isfinite(pairs.clearance).nonzero()
             gradient, _ = clearance_gradients(
-                maps, pairs, which, obstacles, points, points, arm.columns,
+                maps, pairs, every, points, points, arm.columns,
                 moves=np.tril(np.ones((len(points), robot.n))))
         level, slopes = indices.clearance_index(
             clearance, distance, smoothing=p.clearance_smoothing,

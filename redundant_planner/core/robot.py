@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import known, ObstacleError, RobotError, StateError
 from redundant_planner.core.self_collision import link_distances
 
@@ -169,6 +170,7 @@ class Robot:
         self._tip_id = self._model.getFrameId(tip_frame)
         self._rows = np.array([AXES.index(axis) for axis in self.axes])
         self._no_acceleration = np.zeros(self.n)
+        self._rotations, self._positions = _placements(self._data)
         self.capsules = tuple(
             self._default_capsules(link_radius) if capsules is None else capsules)
         self._place_capsules()
@@ -206,8 +208,8 @@ class Robot:
             self._model, self._data, self._tip_id, pin.LOCAL_WORLD_ALIGNED)
         if self.command_frame == 'tool':
             jacobian = pin.getFrameJacobian(self._model, self._data, self._tip_id, pin.LOCAL)
-        ends = np.array(self._capsule_rotations).reshape(-1, 3, 3) @ self._capsule_ends
-        ends += np.array(self._capsule_positions).reshape(-1, 3, 1)
+        at = self._capsule_joint
+        ends = self._rotations[at] @ self._capsule_ends + self._positions[at][:, :, None]
         return Kinematics(
             q=q,
             columns=np.array(self._data.J),
@@ -217,6 +219,38 @@ class Robot:
             jacobian=jacobian[self._rows],
             segment_start=ends[:, :, 0],
             segment_end=ends[:, :, 1])
+
+    def tip(self, q: Array) -> tuple[Pose, Array]:
+        """Return the tip's pose and J (m, n) alone, for a posture known to be a good one."""
+        model, data = self._model, self._data
+        pin.computeJointJacobians(model, data, q)
+        tip = pin.updateFramePlacement(model, data, self._tip_id)
+        axes = pin.LOCAL if self.command_frame == 'tool' else pin.LOCAL_WORLD_ALIGNED
+        jacobian = pin.getFrameJacobian(model, data, self._tip_id, axes)
+        return Pose(np.array(tip.translation), np.array(tip.rotation)), jacobian[self._rows]
+
+    def kinematics_along(self, postures: Array) -> Kinematics:
+        """Return the kinematics at every one of N postures (N, n): N leads every array."""
+        count = len(postures)
+        columns = np.empty((count, 6, self.n))
+        tip_jacobian, local = np.empty((count, 6, self.n)), np.empty((count, 6, self.n))
+        position, rotation = np.empty((count, 3)), np.empty((count, 3, 3))
+        turns, places = np.empty((count, self.n + 1, 3, 3)), np.empty((count, self.n + 1, 3))
+        model, data = self._model, self._data
+        for i in range(count):
+            pin.computeJointJacobians(model, data, postures[i])
+            tip = pin.updateFramePlacement(model, data, self._tip_id)
+            position[i], rotation[i], columns[i] = tip.translation, tip.rotation, data.J
+            tip_jacobian[i] = pin.getFrameJacobian(
+                model, data, self._tip_id, pin.LOCAL_WORLD_ALIGNED)
+            if self.command_frame == 'tool':
+                local[i] = pin.getFrameJacobian(model, data, self._tip_id, pin.LOCAL)
+            turns[i], places[i] = self._rotations, self._positions
+        jacobian = local if self.command_frame == 'tool' else tip_jacobian
+        at = self._capsule_joint
+        ends = turns[:, at] @ self._capsule_ends + places[:, at, :, None]
+        return Kinematics(postures, columns, position, rotation, tip_jacobian,
+                          jacobian[:, self._rows], ends[..., 0], ends[..., 1])
 
     def jacobian_derivative_times(self, arm: Kinematics, dq: Array) -> Array:
         """Return the columns (∂J/∂q_k) q̇ of the controlled axes in the command frame, (m, n).
@@ -318,12 +352,6 @@ class Robot:
         self._capsule_ends = np.array(ends).reshape(-1, 3, 2)
         self.moves = _read_only(
             (np.arange(self.n) < self._capsule_joint[:, None]).astype(float))
-        # Views into Pinocchio's own memory: they show the latest posture without a Python call
-        # per link. They never leave this class.
-        placements = [self._data.oMi[i] for i in joints]
-        self._capsule_rotations = [placement.rotation for placement in placements]
-        self._capsule_positions = [placement.translation for placement in placements]
-
     def _levers(self) -> Array:
         """Bound the distance of any capsule point from each joint by the lengths after it."""
         revolute = np.array([joint.shortname().startswith('JointModelR')
@@ -366,6 +394,21 @@ class Robot:
         never = (between == 2) & (sampled > _NEVER_NEAR).all(axis=0)
         keep = (between > 1) & ~touching & ~never
         return links[keep]
+
+
+def _placements(data: pin.Data) -> tuple[Array, Array]:
+    """Return rotations (n + 1, 3, 3) and positions (n + 1, 3) of all joints, of any posture.
+
+    They are views into Pinocchio's own memory, where the placements lie one after another:
+    they show the latest posture, without a Python call per joint, and live as long as `data`.
+    """
+    views = []
+    for part in ('rotation', 'translation'):
+        first, second = (getattr(data.oMi[i], part) for i in (0, 1))
+        stride = second.ctypes.data - first.ctypes.data
+        views.append(np.lib.stride_tricks.as_strided(
+            first, (len(data.oMi), *first.shape), (stride, *first.strides), writeable=False))
+    return views[0], views[1]
 
 
 def _read_only(array: Array) -> Array:

@@ -35,7 +35,7 @@ Array = npt.NDArray[np.float64]
 
 # Price of the whole twist in units of ½‖q̇_des‖²: null-space motion may be √50 times as fast as
 # the desired motion before the twist slows down for it. Dearer, and the arm whips around.
-_PRICE_SCALE = 25.0
+_PRICE_SCALE = 100.0
 # Prices per unit, each large enough to be paid only when nothing cheaper helps; the squared
 # joint velocities they compete with are of the order of 1 (rad/s)².
 _PRICE_COAST = 1e4

@@ -38,7 +38,7 @@ def clearance_of(robot, q, obstacles, points, **options):
     value, slopes = indices.clearance_index(pairs.clearance, pairs.distance, **options)
     links, which = np.nonzero(slopes)
     gradient, _ = clearance_gradients(
-        maps, pairs, links, which, start, end, arm.columns, moves)
+        maps, pairs, (links, which), start, end, arm.columns, moves)
     return value, slopes[links, which] @ gradient
 
 

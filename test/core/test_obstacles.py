@@ -110,7 +110,7 @@ def test_gradients_match_finite_differences(robot):
         arm, maps, pairs = all_clearances(robot, q, obstacles)
         links, which = np.nonzero(pairs.clearance > -0.9)
         gradient, rate = clearance_gradients(
-            maps, pairs, links, which, arm.segment_start, arm.segment_end, arm.columns,
+            maps, pairs, (links, which), arm.segment_start, arm.segment_end, arm.columns,
             robot.moves)
         expected = central_difference(
             lambda p, o=obstacles: all_clearances(robot, p, o)[2].clearance, q)
@@ -128,7 +128,7 @@ def test_the_centre_of_an_ellipsoid_gives_finite_numbers(planar):
     obstacle = Obstacle('o', np.array([0.25, 0.0, 0.0]), np.full(3, 0.1))
     arm, maps, pairs = all_clearances(planar, np.zeros(3), [obstacle])
     gradient, rate = clearance_gradients(
-        maps, pairs, np.array([0]), np.array([0]), arm.segment_start, arm.segment_end,
+        maps, pairs, (np.array([0]), np.array([0])), arm.segment_start, arm.segment_end,
         arm.columns, planar.moves)
     assert pairs.clearance[0, 0] == pytest.approx(-1.0)
     assert np.isfinite(gradient).all() and np.isfinite(rate).all()

@@ -1,0 +1,421 @@
+"""The shortest joint path over the time ahead: Eqs. 11 and 12 as one small QP per tick.
+
+Eq. 11 asks for the joint path of least ∫ q̇ᵀq̇ dt, Eq. 12 that it follows the tip's path. Sampled
+at times t₀ … t_N ahead, with the tip's pose known at every one of them, this is
+
+    minimise    Σ ‖q_{i+1} − q_i‖² / (t_{i+1} − t_i)         q₀ is where the arm is
+    subject to  pose(q_i) = pose_i                           Eq. 12 at every node
+                ρ(q_i) ≥ 0,  q_min ≤ q_i ≤ q_max             for every link and obstacle
+
+About a guess q̄ the second line is solved by q_i = q̄_i + J_i⁺e_i + Z_i w_i, where e_i is the pose
+error of q̄_i and Z_i spans the null space of J_i. What remains is a QP in the null-space
+coordinates w_i alone, n − m per node, with a block-tridiagonal Hessian. One such step is taken
+per tick, from the solution of the last one moved on by dt (real-time iteration): the arm acts on
+the problem while it is being solved. docs/horizon.md has the derivation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+import math
+from typing import NamedTuple
+
+import daqp
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from redundant_planner.core import drift, null_space
+from redundant_planner.core.drift import Pose
+from redundant_planner.core.obstacles import clearance_gradients, link_clearance, Whitening
+from redundant_planner.core.robot import Kinematics, Robot
+
+Array = npt.NDArray[np.float64]
+TwistAhead = Callable[[Array], Array]
+
+# How far one step may move a node in its null space, and how near a link is to an obstacle when
+# it enters the QP [rad, m].
+_TRUST = 0.2
+_NEAR = 0.15
+# What a plan keeps beyond the margin: the filter slows down for what arrives right at it [m].
+_RESERVE = 0.003
+# A plan whose poses are further off than this is not worth mending [m, rad].
+_LOST = 0.15
+# A plan this near to its poses and clearances counts as free [m, rad]; a scout must be that much
+# shorter to be followed.
+_ADMISSIBLE = 3e-3
+_SHORTER = 0.9
+# A survey looks so far to either side of the least-norm path, in steps of that size [rad], and
+# what it finds gets so many steps to settle.
+_SIDESTEPS = 9
+_SIDESTEP = 0.3
+_SETTLING = 5
+# Squared damping of the paths that a survey looks at [m²].
+_GUESS_DAMPING = 1e-4
+# Price of being inside a clearance in a survey [1/m].
+_PRICE = 200.0
+# The first interval is a small one, for the velocity of now; the later ones grow.
+_STRETCH = 1.5
+_SOFT = 8
+_UNBOUNDED = 1e30
+
+
+def node_times(duration: float, nodes: int) -> Array:
+    """Return the times t₀ = 0 … t_N = duration of N nodes, dense at the beginning [s]."""
+    return duration * (np.arange(nodes + 1) / nodes) ** _STRETCH
+
+
+class Poses(NamedTuple):
+    """Tip poses in the base frame.
+
+    Attributes:
+        position: (N, 3) [m].
+        rotation: (N, 3, 3) tip axes in the base frame.
+    """
+
+    position: Array
+    rotation: Array
+
+
+def poses_ahead(start: Pose, twist_ahead: TwistAhead, times: Array, frame: str) -> Poses:
+    """Return where the tip has to be at times[1:].
+
+    Args:
+        start: the reference pose at times[0].
+        twist_ahead: times from now (N,) [s] → twists (N, 6).
+        times: (N + 1,) from now [s].
+        frame: the command frame.
+    """
+    steps = np.diff(times)
+    twists = twist_ahead(0.5 * (times[:-1] + times[1:]))
+    position, rotation = np.empty((len(steps), 3)), np.empty((len(steps), 3, 3))
+    if frame == 'base':
+        turns = twists[:, 3:] * steps[:, None]
+        position[:] = start.position + (twists[:, :3] * steps[:, None]).cumsum(axis=0)
+        turned = start.rotation
+        for i, turn in enumerate(turns):
+            rotation[i] = turned = pin.exp3(turn) @ turned
+        return Poses(position, rotation)
+    for i, step in enumerate(steps):
+        start = drift.integrate(start, twists[i], step, frame)
+        position[i], rotation[i] = start
+    return Poses(position, rotation)
+
+
+class _Plan(NamedTuple):
+    """A joint path ahead.
+
+    Attributes:
+        nodes: (N, n) postures at times[1:].
+        cost: Σ ‖Δq‖² / Δt, joint weights included, when it was last looked at.
+        error: how far it was off the poses [m, rad].
+        intrusion: how far links were inside their clearance [m].
+    """
+
+    nodes: Array
+    cost: float = np.inf
+    error: float = np.inf
+    intrusion: float = np.inf
+
+    @property
+    def admissible(self) -> bool:
+        """Whether the arm may follow it all the way."""
+        return max(self.error, self.intrusion) < _ADMISSIBLE
+
+
+class _Local(NamedTuple):
+    """A plan's surroundings: q_i = base_i + w_i directions_i follows the poses to first order.
+
+    Attributes:
+        base: (N, n).
+        directions: (N, n − m, n) the null space of every node.
+        linear, hessian: of the cost in w, (N (n − m),) and square.
+        gradients: (p, n) ∂ρ/∂q of the pairs of links and obstacles near any node.
+        bounds: (p,) what a step must add to ρ at least.
+        at: (p,) their nodes.
+    """
+
+    base: Array
+    directions: Array
+    linear: Array
+    hessian: Array
+    gradients: Array
+    bounds: Array
+    at: npt.NDArray[np.intp]
+
+
+@dataclass
+class _Survey:
+    """Paths that start to either side of the arm, on a snapshot of the problem.
+
+    Attributes:
+        q, poses, maps: the snapshot.
+        aside: (n,) the direction looked in; its projection on the null space counts.
+        here: (n,) where the next path starts.
+        elapsed: time since the snapshot [s].
+        rows: what was seen to one side and then the other, outwards each: postures (N, n) and
+            their price (N,).
+    """
+
+    q: Array
+    poses: Poses
+    maps: Whitening
+    aside: Array
+    here: Array
+    elapsed: float = 0.0
+    rows: list[tuple[Array, Array]] = field(default_factory=list)
+
+
+class Horizon:
+    """The joint path ahead of one arm.
+
+    It remembers the plan that the arm follows from tick to tick. A linearised problem finds the
+    best path on its own side of an obstacle, not the better side. Every other tick therefore
+    goes to a survey: least-norm paths that start where the arm would be had it moved aside
+    along its null space, one per tick, further and further to one side and to the other.
+    Dynamic programming then picks the cheapest free way through all their postures, which
+    settles for a few steps and replaces the plan if the plan is not free or clearly longer.
+    With one spare degree of freedom a survey sees every way within its reach; with more it sees
+    a slice, each time another one. The order is fixed, and so is the result.
+    """
+
+    def __init__(
+        self, robot: Robot, times: Array, scaling: Array, position_min: Array,
+        position_max: Array, damping: float, damping_threshold: float,
+    ) -> None:
+        """Prepare for times (N + 1,) ahead.
+
+        Args:
+            robot: the arm.
+            times: from `node_times`.
+            scaling: (n,) 1 / square root of the joint weights.
+            position_min, position_max: (n,) margins taken off [rad, m].
+            damping, damping_threshold: of `null_space.inverse_gains`.
+        """
+        self.times = times
+        self._robot, self._scaling = robot, scaling
+        self._damping, self._threshold = damping, damping_threshold
+        self._low, self._high = position_min, position_max
+        self._stiffness = 1.0 / np.diff(times)
+        self._moving_on: tuple[float, Array] | None = None
+        self._controlled = robot.full_twist(np.ones(robot.m)) > 0.0
+        self.reset()
+
+    @property
+    def nodes(self) -> Array | None:
+        """The planned postures (N, n) at times[1:]; None before the first tick."""
+        return None if self._plan is None else self._plan.nodes.copy()
+
+    def reset(self) -> None:
+        """Forget the plan and the survey."""
+        self._plan: _Plan | None = None
+        self._survey: _Survey | None = None
+        self._found: _Plan | None = None
+        self._ticks, self._settled = 0, 0
+        self._random = np.random.default_rng(0)
+
+    def advance(self, q: Array, poses: Poses, maps: Whitening, dt: float) -> Array | None:
+        """Move the plan on by `dt`, take one step, and return the plan's velocity (n,) now.
+
+        None where the QP has no solution; the next tick then starts afresh.
+
+        Args:
+            q: (n,) where the arm is.
+            poses: N, from `poses_ahead`.
+            maps: the obstacles now, for links with their margin.
+            dt: time since the last tick [s].
+        """
+        if self._plan is not None:
+            self._plan = self._moved_on(self._plan, q, dt)
+        if self._found is not None:
+            self._found = self._moved_on(self._found, q, dt)
+        if self._survey is not None:
+            self._survey.elapsed += dt
+        self._ticks += 1
+        if self._plan is None or self._ticks % (2 if self._plan.admissible else 4) == 0:
+            self._follow(q, poses, maps)
+        elif self._found is not None:
+            self._settle(q, poses, maps)
+        else:
+            self._look_around(q, poses, maps)
+        return None if self._plan is None else (self._plan.nodes[0] - q) * self._stiffness[0]
+
+    def _follow(self, q: Array, poses: Poses, maps: Whitening) -> None:
+        """Take one step with the plan; start it where there is none worth mending."""
+        if self._plan is not None:
+            plan, local = self._look(q, self._plan.nodes, poses, maps)
+            if plan.error < _LOST:
+                self._plan = self._improved(plan, local)
+                return
+        self._survey = self._found = None
+        self._plan = self._improved(*self._look(
+            q, self._least_norm_path(q, poses), poses, maps))
+
+    def _look_around(self, q: Array, poses: Poses, maps: Whitening) -> None:
+        """Take one step of a survey; at its end, the cheapest way that it has found."""
+        if self._survey is None:
+            self._survey = _Survey(q, poses, maps, self._random.normal(size=len(q)), q)
+        survey = self._survey
+        nodes = self._least_norm_path(survey.here, survey.poses)
+        survey.rows.append((nodes, self._price(nodes, survey.maps)))
+        if len(survey.rows) > 2 * _SIDESTEPS:
+            self._survey = None
+            self._found, self._settled = self._cheapest(survey, q), 0
+            return
+        if len(survey.rows) == _SIDESTEPS + 1:
+            survey.here, survey.aside = survey.q, -survey.aside
+        survey.here, survey.aside = self._sidestep(survey.here, survey.aside)
+
+    def _sidestep(self, q: Array, aside: Array) -> tuple[Array, Array]:
+        """Return a posture (n,) a step aside with the same tip pose, and the step's direction."""
+        robot = self._robot
+        tip, jacobian = robot.tip(q)
+        step = null_space.project(
+            null_space.decompose(jacobian * self._scaling), aside / self._scaling)
+        step *= self._scaling / max(math.sqrt(step @ step), 1e-9)
+        pose = Poses(tip.position[None], tip.rotation[None])
+        return self._least_norm_path(q + _SIDESTEP * step, pose)[0], step
+
+    def _price(self, nodes: Array, maps: Whitening) -> Array:
+        """Return what being at postures (N, n) costs a survey, (N,)."""
+        arms = self._robot.kinematics_along(nodes)
+        pairs = link_clearance(maps, arms.segment_start, arms.segment_end, self.times[1:])
+        intrusion = -pairs.distance.min(axis=(1, 2), initial=np.inf)
+        return _PRICE * np.maximum(intrusion + _RESERVE, 0.0)
+
+    def _cheapest(self, survey: _Survey, q: Array) -> _Plan:
+        """Return the cheapest way through a survey's postures, by dynamic programming."""
+        postures = np.array([row for row, _ in survey.rows]).transpose(1, 0, 2)
+        prices = np.array([price for _, price in survey.rows]).T
+        scaled = postures / self._scaling
+        gaps = scaled[:-1, :, None] - scaled[1:, None]
+        steps = (gaps * gaps).sum(axis=-1) * self._stiffness[1:, None, None]
+        first = scaled[0] - survey.q / self._scaling
+        value = (first * first).sum(axis=-1) * self._stiffness[0] + prices[0]
+        origins = []
+        for step, price in zip(steps, prices[1:]):
+            total = value[:, None] + step
+            origins.append(total.argmin(axis=0))
+            value = total.min(axis=0) + price
+        at = int(value.argmin())
+        way = [at]
+        for origin in reversed(origins):
+            at = int(origin[at])
+            way.append(at)
+        nodes = postures[np.arange(len(way)), way[::-1]]
+        return self._moved_on(_Plan(nodes), q, survey.elapsed)
+
+    def _settle(self, q: Array, poses: Poses, maps: Whitening) -> None:
+        """Take one step with what a survey has found; take it over if it is better."""
+        assert self._found is not None and self._plan is not None
+        found, local = self._look(q, self._found.nodes, poses, maps)
+        self._settled += 1
+        if self._settled > 2 and found.admissible and (
+                not self._plan.admissible or found.cost < _SHORTER * self._plan.cost):
+            self._plan, self._found = found, None
+        elif self._settled > _SETTLING:
+            self._found = None
+        else:
+            self._found = self._improved(found, local)
+
+    def _moved_on(self, plan: _Plan, q: Array, dt: float) -> _Plan:
+        """Return a plan at the new times, by interpolation."""
+        if self._moving_on is None or self._moving_on[0] != dt:
+            self._moving_on = dt, np.array([
+                np.interp(self.times[1:] + dt, self.times, row)
+                for row in np.eye(len(self.times))]).T
+        return plan._replace(nodes=self._moving_on[1] @ np.vstack((q, plan.nodes)))
+
+    def _errors(self, arms: Kinematics, poses: Poses) -> Array:
+        """Return the controlled pose errors (N, m) in the command frame."""
+        errors = np.zeros((len(poses.position), 6))
+        errors[:, :3] = poses.position - arms.tip_position
+        if self._controlled[3:].any():
+            turned = poses.rotation @ arms.tip_rotation.transpose(0, 2, 1)
+            errors[:, 3:] = [pin.log3(rotation) for rotation in turned]
+        if self._robot.command_frame == 'tool':
+            errors = (errors.reshape(-1, 2, 3) @ arms.tip_rotation).reshape(-1, 6)
+        return errors[:, self._controlled]
+
+    def _least_norm_path(self, q: Array, poses: Poses) -> Array:
+        """Return the postures (N, n) that follow the poses with the least motion each."""
+        robot, scaling = self._robot, self._scaling
+        nodes = np.empty((len(poses.position), len(q)))
+        damping = _GUESS_DAMPING * np.eye(robot.m)
+        for i, pose in enumerate(map(Pose, *poses)):
+            tip, jacobian = robot.tip(q)
+            error = drift.pose_error(pose, tip, robot.command_frame)[self._controlled]
+            jacobian = jacobian * scaling
+            step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error)
+            q = np.minimum(np.maximum(q + scaling * step, self._low), self._high)
+            nodes[i] = q
+        return nodes
+
+    def _look(
+        self, q: Array, nodes: Array, poses: Poses, maps: Whitening,
+    ) -> tuple[_Plan, _Local]:
+        """Measure a plan and linearise about it."""
+        robot, scaling = self._robot, self._scaling
+        arms = robot.kinematics_along(nodes)
+        errors = self._errors(arms, poses)
+        count, m, n = arms.jacobian.shape
+        left, values, right = np.linalg.svd(arms.jacobian * scaling)
+        gains = null_space.inverse_gains(values, self._threshold, self._damping)
+        steps = (left.transpose(0, 2, 1) @ errors[:, :, None]) * gains[:, :, None]
+        step = scaling * (right[:, :m].transpose(0, 2, 1) @ steps)[:, :, 0]
+        base, basis = nodes + step, right[:, m:]
+
+        # Σ ‖Δq‖² / Δt in the coordinates w; the basis is orthonormal in the scaled joints.
+        stretch = np.diff(np.vstack((q, base)), axis=0) / scaling
+        pull = stretch * self._stiffness[:, None]
+        cost = float((stretch * pull).sum())
+        pull[:-1] -= pull[1:]
+        linear = (basis @ pull[:, :, None]).ravel()
+        hessian = np.zeros((count, n - m, count, n - m))
+        first, rows = np.arange(count), np.arange(n - m)
+        stiffness = self._stiffness.copy()
+        stiffness[:-1] += self._stiffness[1:]
+        hessian[first[:, None], rows, first[:, None], rows] = stiffness[:, None]
+        coupling = -self._stiffness[1:, None, None] * (
+            basis[:-1] @ basis[1:].transpose(0, 2, 1))
+        hessian[first[:-1], :, first[1:]] = coupling
+        hessian[first[1:], :, first[:-1]] = coupling.transpose(0, 2, 1)
+
+        pairs = link_clearance(maps, arms.segment_start, arms.segment_end, self.times[1:])
+        near = (pairs.distance < _NEAR).nonzero()
+        reserve = pairs.clearance - _RESERVE / maps.smallest
+        gradients, _ = clearance_gradients(
+            maps, pairs, near, arms.segment_start, arms.segment_end, arms.columns, robot.moves)
+        bounds = -reserve[near] - (gradients * step[near[0]]).sum(axis=1)
+        return (_Plan(nodes, cost, float(np.abs(errors).max()),
+                      -float(pairs.distance.min(initial=np.inf))),
+                _Local(base, basis * scaling, linear, hessian.reshape(linear.size, -1),
+                       gradients, bounds, near[0]))
+
+    def _improved(self, plan: _Plan, local: _Local) -> _Plan | None:
+        """Return the QP's solution about a plan; None where it has none."""
+        count, free, _ = local.directions.shape
+        size = count * free
+        pairs = np.zeros((len(local.bounds), count, free))
+        pairs[np.arange(len(pairs)), local.at] = (
+            local.directions[local.at] @ local.gradients[:, :, None])[:, :, 0]
+        # The joint limits that this step could reach.
+        span = _TRUST * np.abs(local.directions).sum(axis=1)
+        above, below = self._high - local.base, self._low - local.base
+        at, joints = ((span > above) | (-span < below)).nonzero()
+        limits = np.zeros((len(at), count, free))
+        limits[np.arange(len(at)), at] = local.directions[at, :, joints]
+
+        high = np.concatenate((
+            np.full(size, _TRUST), np.full(len(pairs), _UNBOUNDED), above[at, joints]))
+        low = np.concatenate((np.full(size, -_TRUST), local.bounds, below[at, joints]))
+        sense = np.zeros(len(high), dtype=np.int32)
+        sense[size:] = _SOFT
+        w, _, flag, _ = daqp.solve(
+            local.hessian, local.linear,
+            np.concatenate((pairs, limits)).reshape(-1, size), high, low, sense)
+        if flag not in (1, 2) or not np.isfinite(w).all():
+            return None
+        step = (w.reshape(count, 1, free) @ local.directions)[:, 0]
+        return plan._replace(nodes=local.base + step)
