@@ -40,7 +40,11 @@ METHODS = {
         method='gradient_projection', k_w=1.0, k_f=0.0, safety_filter=False),
     'dynamic_factor_unfiltered': PlannerParameters(safety_filter=False),
     'dynamic_factor': PlannerParameters(),
+    'variational_held': PlannerParameters(method='variational'),
+    'variational_known': PlannerParameters(method='variational'),
 }
+# These are told the twist ahead, as a user does who plays a profile.
+KNOWN = ('variational_known',)
 PEERS = {'mink': 'Mink', 'pink': 'Pink'}
 
 
@@ -64,9 +68,9 @@ class Outcome:
 
 
 def run_planner(
-    robot: Robot, parameters: PlannerParameters, judge: Judge, task: Task,
+    robot: Robot, parameters: PlannerParameters, judge: Judge, task: Task, known: bool = False,
 ) -> Outcome:
-    """Run the planner in closed loop with an ideal arm."""
+    """Run the planner in closed loop with an ideal arm; tell it the twist ahead if `known`."""
     planner = Planner(robot, parameters)
     count = round(DURATION / DT)
     postures = np.empty((count + 1, robot.n))
@@ -78,8 +82,9 @@ def run_planner(
     for i in range(count):
         if moving:
             scene = Scene.of(task.obstacles_at(i * DT))
+        ahead = (lambda times, now=i * DT: task.twist_at(now + times)) if known else None
         begin = time.perf_counter()
-        result = planner.step(postures[i], task.twist_at(i * DT), scene, DT)
+        result = planner.step(postures[i], task.twist_at(i * DT), scene, DT, ahead)
         ticks[i] = time.perf_counter() - begin
         velocities[i] = result.dq
         postures[i + 1] = postures[i] + DT * result.dq
@@ -165,7 +170,8 @@ def runners(robot: Robot, judge: Judge, names: list[str]) -> dict[
     found: dict[str, Callable[[Task], Outcome]] = {}
     for name in names:
         if name in METHODS:
-            found[name] = partial(run_planner, robot, METHODS[name], judge)
+            found[name] = partial(
+                run_planner, robot, METHODS[name], judge, known=name in KNOWN)
         else:
             try:
                 from benchmark import peers

@@ -80,3 +80,15 @@ def test_the_filter_hits_nothing_where_the_least_norm_hits():
     assert result['max_path_error_mm'] < 1.0
     assert {'tracked', 'min_distance_mm', 'cost_median', 'path_median', 'tick_us_median',
             'tick_us_p99'} <= set(result)
+
+
+def test_looking_ahead_finds_the_way_that_the_instant_misses():
+    robot = make_panda()
+    judge = Judge(robot)
+    task = generate(robot, 0)
+    stuck = run_planner(robot, METHODS['dynamic_factor'], judge, task)
+    around = run_planner(robot, METHODS['variational_known'], judge, task, known=True)
+    assert not stuck.tracked and stuck.verdict.final_error < 1e-3
+    assert around.tracked
+    for verdict in (stuck.verdict, around.verdict):
+        assert verdict.min_distance > 0.009 and verdict.limit_violation == 0.0

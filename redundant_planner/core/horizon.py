@@ -51,8 +51,8 @@ _SHORTER = 0.9
 _SIDESTEPS = 9
 _SIDESTEP = 0.3
 _SETTLING = 5
-# Squared damping of the paths that a survey looks at [m²].
-_GUESS_DAMPING = 1e-4
+# Squared damping of the way back to the poses: near a singularity it takes some more steps [m²].
+_DAMPING = 1e-4
 # Price of being inside a clearance in a survey [1/m].
 _PRICE = 200.0
 # The first interval is a small one, for the velocity of now; the later ones grow.
@@ -182,7 +182,7 @@ class Horizon:
 
     def __init__(
         self, robot: Robot, times: Array, scaling: Array, position_min: Array,
-        position_max: Array, damping: float, damping_threshold: float,
+        position_max: Array,
     ) -> None:
         """Prepare for times (N + 1,) ahead.
 
@@ -191,11 +191,9 @@ class Horizon:
             times: from `node_times`.
             scaling: (n,) 1 / square root of the joint weights.
             position_min, position_max: (n,) margins taken off [rad, m].
-            damping, damping_threshold: of `null_space.inverse_gains`.
         """
         self.times = times
         self._robot, self._scaling = robot, scaling
-        self._damping, self._threshold = damping, damping_threshold
         self._low, self._high = position_min, position_max
         self._stiffness = 1.0 / np.diff(times)
         self._moving_on: tuple[float, Array] | None = None
@@ -342,7 +340,7 @@ class Horizon:
         """Return the postures (N, n) that follow the poses with the least motion each."""
         robot, scaling = self._robot, self._scaling
         nodes = np.empty((len(poses.position), len(q)))
-        damping = _GUESS_DAMPING * np.eye(robot.m)
+        damping = _DAMPING * np.eye(robot.m)
         for i, pose in enumerate(map(Pose, *poses)):
             tip, jacobian = robot.tip(q)
             error = drift.pose_error(pose, tip, robot.command_frame)[self._controlled]
@@ -361,7 +359,7 @@ class Horizon:
         errors = self._errors(arms, poses)
         count, m, n = arms.jacobian.shape
         left, values, right = np.linalg.svd(arms.jacobian * scaling)
-        gains = null_space.inverse_gains(values, self._threshold, self._damping)
+        gains = values / (values * values + _DAMPING)
         steps = (left.transpose(0, 2, 1) @ errors[:, :, None]) * gains[:, :, None]
         step = scaling * (right[:, :m].transpose(0, 2, 1) @ steps)[:, :, 0]
         base, basis = nodes + step, right[:, m:]

@@ -239,9 +239,8 @@ def clearance_gradients(
     Returns:
         (p, n) gradients in q, and (p,) rates of ρ caused by the obstacles' own motion.
     """
-    *segment, obstacles = chosen
-    link, segments = segment[-1], tuple(segment)
-    y = pairs.whitened[(*segments, slice(None), obstacles)]
+    segments, link, obstacles = chosen[:-1], chosen[-2], chosen[-1]
+    y = np.moveaxis(pairs.whitened, -2, -1)[chosen]
     # In an ellipsoid's very centre every direction is as good: the guard leaves a zero gradient.
     y /= np.maximum(pairs.clearance[chosen] + 1.0, 1e-9)[:, None]
     slope = (y[:, None] @ maps.matrices[link, obstacles])[:, 0]

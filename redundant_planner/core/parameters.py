@@ -156,10 +156,14 @@ class PlannerParameters:
         0.03, low=0.0, unit='m', runtime=True,
         description='Smallest singular value of J below which damping sets in; 0 never damps.')
     horizon: float = parameter(
-        2.0, low=0.05, high=30.0, unit='s', runtime=True,
-        description='How far variational looks ahead. Too short and it turns away late, as the '
-                    'other methods do; too long for a command that is only held and it plans '
-                    'for what will not be commanded.')
+        3.0, low=0.05, high=30.0, unit='s', runtime=True,
+        description='How far variational looks ahead where it is told what will be commanded. '
+                    'Too short and it turns away late, as the other methods do.')
+    horizon_held: float = parameter(
+        1.0, low=0.05, high=30.0, unit='s', runtime=True,
+        description='How far variational looks ahead where it knows the present command alone '
+                    'and takes it as held. Too long and it plans for what will not be '
+                    'commanded.')
     horizon_nodes: int = parameter(
         12, low=2, high=200, runtime=True,
         description='Postures that variational plans within the horizon. Each costs computing '

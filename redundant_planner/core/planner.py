@@ -168,10 +168,10 @@ class Planner:
         self._self_known: tuple[Array, Array] | None = None
         self._weights = weights
         self._scaling = 1.0 / np.sqrt(weights)
-        self._horizon = Horizon(
-            robot, node_times(parameters.horizon, parameters.horizon_nodes), self._scaling,
-            robot.position_min + margin, robot.position_max - margin, parameters.damping,
-            parameters.damping_threshold)
+        self._horizons = tuple(
+            Horizon(robot, node_times(duration, parameters.horizon_nodes), self._scaling,
+                    robot.position_min + margin, robot.position_max - margin)
+            for duration in (parameters.horizon, parameters.horizon_held))
         self._limits = safety.Limits(
             np.array((robot.position_max - margin, robot.position_min + margin)),
             robot.velocity_max, robot.acceleration_max)
@@ -183,7 +183,8 @@ class Planner:
         self._followed: Array = np.zeros(self.robot.m)
         self._reference: Pose | None = None
         self._self_known = None
-        self._horizon.reset()
+        for horizon in self._horizons:
+            horizon.reset()
 
     @property
     def reference(self) -> Pose | None:
@@ -234,6 +235,7 @@ class Planner:
         if p.method == 'variational':
             shortest = self._shortest_path(arm, command, ahead, maps, dt)
         level, clearance = self._clearance_gradient(arm, near, scene)
+        fallback = p.method == 'variational' and shortest is None
         if shortest is not None:
             factor, projected = 1.0, null_space.project(parts, shortest / self._scaling)
         else:
@@ -256,6 +258,9 @@ class Planner:
             # What was followed of the path; neither the way back to it nor what was yielded.
             self._followed = scale * robot.task_rows(command) + result.coast * coasting
 
+        if fallback:
+            reason = '; '.join(filter(None, (
+                'no joint path ahead was found: dynamic_factor steps in', reason)))
         assert self._reference is not None
         self._reference = drift.integrate(
             self._reference, robot.full_twist(self._followed), dt, robot.command_frame)
@@ -306,13 +311,17 @@ class Planner:
         dt: float,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none."""
+        if self.robot.n == self.robot.m:
+            return np.zeros(self.robot.n)
         assert self._reference is not None
-        horizon, controlled = self._horizon, self._controlled
+        known, held = self._horizons
+        horizon, other = (held, known) if ahead is None else (known, held)
+        other.reset()
 
         def twist_ahead(times: Array) -> Array:
             if ahead is None:
                 return np.broadcast_to(command, (len(times), 6))
-            return np.where(controlled, ahead(times), 0.0)
+            return np.where(self._controlled, ahead(times), 0.0)
 
         poses = poses_ahead(
             self._reference, twist_ahead, horizon.times, self.robot.command_frame)
@@ -342,7 +351,9 @@ class Planner:
         gradient, rate = clearance_gradients(
             maps, pairs, near, arm.segment_start, arm.segment_end, arm.columns,
             self.robot.moves)
-        return _Near(*near, pairs.clearance[near], pairs.distance[near], gradient, rate)
+        links, obstacles = near
+        return _Near(
+            links, obstacles, pairs.clearance[near], pairs.distance[near], gradient, rate)
 
     def _clearance_gradient(
         self, arm: Kinematics, near: _Near, scene: Scene,

@@ -25,20 +25,22 @@ CHANGES = {
     'drift_angular_speed': 0.001, 'linear_speed_max': 0.1,
     'angular_speed_max': 0.1, 'safety_filter': False, 'position_margin': 0.0,
     'clearance_margin': 0.05, 'barrier_gain': 0.5, 'path_priority': 'strict',
+    'horizon': 0.5, 'horizon_held': 0.2, 'horizon_nodes': 3,
     'singularity_margin': 1.2, 'self_collision_margin': 0.3,
 }
 
 
 def motion(parameters, start=(0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1), axes=None,
-           drift=(0.0, 0.0, 0.0)):
+           drift=(0.0, 0.0, 0.0), known=False):
     robot = make_paper_arm(**({'axes': axes} if axes else {}))
     scene = Scene.of([
         Obstacle('o', np.array([0, 0.55, 0.45]), np.array([0.05, 0.03, 0.03])),
         Obstacle('p', np.array([0.05, 0.5, 0.5]), np.array([0.05, 0.03, 0.03]), velocity=drift)])
     planner = Planner(robot, parameters)
     twist = np.array([-0.1, -0.2, 0.3, 0.0, 0.5, 0.0])
-    postures, _ = drive(planner, start, twist, scene, 0.2)
-    more, _ = drive(planner, postures[-1] + 0.02, twist, scene, 3.0)
+    ahead = (lambda times: np.tile(twist, (len(times), 1))) if known else None
+    postures, _ = drive(planner, start, twist, scene, 0.2, ahead=ahead)
+    more, _ = drive(planner, postures[-1] + 0.02, twist, scene, 3.0, ahead=ahead)
     return np.vstack((postures, more))
 
 
@@ -51,11 +53,15 @@ def test_every_parameter_has_an_effect(name):
     base = BASE
     if name == 'k_fixed':
         base = replace(base, method='gradient_projection')
+    if name.startswith('horizon'):
+        base = replace(base, method='variational')
     options = {}
     if 'angular' in name or 'angle' in name:
         options['axes'] = ('vx', 'vy', 'vz', 'wy')
     if name == 'position_margin':
         options['start'] = (0.38, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1)
+    if name == 'horizon':
+        options['known'] = True
     if name == 'path_priority':
         options['drift'] = (-0.5, 0.5, -0.5)
     before = motion(base, **options)

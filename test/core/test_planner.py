@@ -22,12 +22,12 @@ LETTER = {
     'clearance_margin': 0.0, 'position_margin': 0.0, 'k_w': 1.0}
 
 
-def drive(planner, q, twist, scene=NOTHING, seconds=1.0, dt=DT):
+def drive(planner, q, twist, scene=NOTHING, seconds=1.0, dt=DT, ahead=None):
     """Integrate the closed loop; return the postures and results of every tick."""
     postures, results = [np.array(q, dtype=float)], []
     for i in range(round(seconds / dt)):
         now = twist(i * dt) if callable(twist) else twist
-        results.append(planner.step(postures[-1], now, scene, dt))
+        results.append(planner.step(postures[-1], now, scene, dt, ahead))
         postures.append(postures[-1] + dt * results[-1].dq)
     return np.array(postures), results
 
