@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 import json
+from multiprocessing import Pool
 from pathlib import Path
 import time
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,7 @@ DT = 0.004
 _TURN = np.deg2rad(0.5)
 METHODS = {
     'least_norm': PlannerParameters(k_w=0.0, k_f=0.0, safety_filter=False),
+    'least_norm_filtered': PlannerParameters(k_w=0.0, k_f=0.0),
     'gradient_projection': PlannerParameters(
         method='gradient_projection', k_w=1.0, k_f=0.0, safety_filter=False),
     'dynamic_factor_unfiltered': PlannerParameters(safety_filter=False),
@@ -58,6 +60,7 @@ class Outcome:
         tracked: completed with s > 0.99 throughout, less than 1 mm and 0.5 degrees off.
         reasons: what the planner said, each once.
         tick_us: (k,) time of every tick.
+        postures: (k + 1, n).
     """
 
     task: int
@@ -65,6 +68,7 @@ class Outcome:
     tracked: bool
     reasons: tuple[str, ...]
     tick_us: Array
+    postures: Array
 
 
 def run_planner(
@@ -124,10 +128,10 @@ def _outcome(
     # end of the path tells whether anything was lost.
     tracked = (on_time and verdict.path_error < 1e-3 and verdict.turn_error < _TURN
                and verdict.completed)
-    return Outcome(task.seed, verdict, tracked, reasons, 1e6 * ticks)
+    return Outcome(task.seed, verdict, tracked, reasons, 1e6 * ticks, postures)
 
 
-def summarise(outcomes: list[Outcome]) -> dict[str, object]:
+def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
     """Return the JSON entry of one method."""
     verdicts = [o.verdict for o in outcomes]
     ticks = np.concatenate([o.tick_us for o in outcomes])
@@ -181,38 +185,76 @@ def runners(robot: Robot, judge: Judge, names: list[str]) -> dict[
     return found
 
 
-def main() -> None:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(prog='python -m benchmark.scenarios', description=__doc__)
+class Bench:
+    """One robot with its methods, in a process of its own."""
+
+    def __init__(self, robot: str, axes: int, names: list[str], moving: bool) -> None:
+        """Prepare for a robot of config/ and the methods of that name."""
+        self.robot = make_robot(robot, axes)
+        self._methods = runners(self.robot, Judge(self.robot), names)
+        self._moving = moving
+
+    def __call__(self, seed: int) -> dict[str, Outcome]:
+        """Run every method on the task of a seed."""
+        task = generate(self.robot, seed, moving=self._moving)
+        return {name: run(task) for name, run in self._methods.items()}
+
+
+_bench: Bench
+
+
+def _prepare(*arguments: Any) -> None:
+    global _bench
+    _bench = Bench(*arguments)
+
+
+def _run(seed: int) -> dict[str, Outcome]:
+    return _bench(seed)
+
+
+def parser_of(description: str | None) -> argparse.ArgumentParser:
+    """Return the options that the scenario benchmarks share."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument('--robot', choices=('panda', 'paper'), default='panda')
     parser.add_argument('--axes', type=int, choices=(3, 6), default=6)
     parser.add_argument('--count', type=int, default=50)
     parser.add_argument('--seed', type=int, default=0, help='first seed')
-    parser.add_argument('--method', action='append', choices=[*METHODS, *PEERS],
-                        help="may be given more than once; this package's if not given; mink and "
-                        'pink have to be installed')
-    parser.add_argument('--moving', action='store_true', help='obstacles move through the arm')
+    parser.add_argument('--jobs', type=int, default=1,
+                        help='processes; more than one and the tick times disturb each other')
     parser.add_argument('--json', type=Path)
-    options = parser.parse_args()
-    robot = make_robot(options.robot, options.axes)
-    judge = Judge(robot)
-    methods = runners(robot, judge, options.method or list(METHODS))
-    outcomes: dict[str, list[Outcome]] = {name: [] for name in methods}
-    for seed in track(range(options.seed, options.seed + options.count), 'scenarios'):
-        task = generate(robot, seed, moving=options.moving)
-        for name, run in methods.items():
-            outcomes[name].append(run(task))
-    result = {name: summarise(found) for name, found in outcomes.items()}
+    return parser
 
-    table = Table(title=f'{options.robot}, {options.axes} axes, {options.count} '
-                  f'{"moving" if options.moving else "static"} scenarios from seed {options.seed}')
+
+def print_table(title: str, result: dict[str, dict[str, Any]]) -> None:
+    """Print one row per method, one column per number."""
+    table = Table(title=title)
     table.add_column('method')
-    keys = [key for key in next(iter(result.values())) if key not in ('notable', 'count')]
+    keys = [key for key, value in next(iter(result.values())).items()
+            if isinstance(value, (int, float))]
     for key in keys:
         table.add_column(key.replace('_', ' '), justify='right')
     for name, entry in result.items():
         table.add_row(name, *(f'{entry[key]:.4g}' for key in keys))
     Console(width=180).print(table)
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = parser_of(__doc__)
+    parser.add_argument('--method', action='append', choices=[*METHODS, *PEERS],
+                        help="may be given more than once; this package's if not given; mink "
+                        'and pink have to be installed')
+    parser.add_argument('--moving', action='store_true', help='obstacles move through the arm')
+    options = parser.parse_args()
+    arguments = (
+        options.robot, options.axes, options.method or list(METHODS), options.moving)
+    seeds = range(options.seed, options.seed + options.count)
+    with Pool(options.jobs, _prepare, arguments) as pool:
+        outcomes = list(track(pool.imap(_run, seeds), 'scenarios', total=options.count))
+    result = {name: summarise([found[name] for found in outcomes]) for name in outcomes[0]}
+    print_table(f'{options.robot}, {options.axes} axes, {options.count} '
+                f'{"moving" if options.moving else "static"} scenarios from seed {options.seed}',
+                result)
     if options.json:
         options.json.write_text(json.dumps(result, indent=2) + '\n')
 

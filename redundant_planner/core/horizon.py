@@ -39,7 +39,7 @@ TwistAhead = Callable[[Array], Array]
 _TRUST = 0.2
 _NEAR = 0.15
 # What a plan keeps beyond the margin: the filter slows down for what arrives right at it [m].
-_RESERVE = 0.003
+_RESERVE = 0.0005
 # A plan whose poses are further off than this is not worth mending [m, rad].
 _LOST = 0.15
 # A plan this near to its poses and clearances counts as free [m, rad]; a scout must be that much
@@ -64,6 +64,20 @@ _UNBOUNDED = 1e30
 def node_times(duration: float, nodes: int) -> Array:
     """Return the times t₀ = 0 … t_N = duration of N nodes, dense at the beginning [s]."""
     return duration * (np.arange(nodes + 1) / nodes) ** _STRETCH
+
+
+def continued(command: Array, growth: float, times: Array) -> Array:
+    """Return the twists (N, 6) ahead of a command of which nothing else is known.
+
+    Its direction is held and its size goes on growing or fading as it did, until it is nothing
+    or twice itself: whoever slows down is about to stop.
+
+    Args:
+        command: (6,) now.
+        growth: rate of change of its size, as a share of it [1/s].
+        times: (N,) from now [s].
+    """
+    return np.minimum(np.maximum(1.0 + growth * times, 0.0), 2.0)[:, None] * command
 
 
 class Poses(NamedTuple):

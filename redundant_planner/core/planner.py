@@ -16,7 +16,13 @@ import numpy.typing as npt
 from redundant_planner.core import drift, indices, null_space, safety
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.horizon import Horizon, node_times, poses_ahead, TwistAhead
+from redundant_planner.core.horizon import (
+    continued,
+    Horizon,
+    node_times,
+    poses_ahead,
+    TwistAhead,
+)
 from redundant_planner.core.obstacles import (
     clearance_gradients,
     link_clearance,
@@ -38,6 +44,8 @@ _AT_REST = 1e-5
 _SINGULARITY_NEAR = 5.0
 # Entries of a twist beyond this are cut back before anything is computed with them.
 _ABSURD = 1e100
+# Over how long the trend of a held command is averaged [s].
+_TREND = 0.1
 _NO_PAIRS = np.empty(0, dtype=np.intp)
 
 
@@ -183,6 +191,8 @@ class Planner:
         self._followed: Array = np.zeros(self.robot.m)
         self._reference: Pose | None = None
         self._self_known = None
+        self._command: Array = np.zeros(6)
+        self._growth = 0.0
         for horizon in self._horizons:
             horizon.reset()
 
@@ -220,6 +230,10 @@ class Planner:
         if not command.any() and float(np.abs(error).max()) < _AT_REST:
             correction = np.zeros(6)
         task = robot.task_rows(command + correction)
+        if p.drift_gain > 0.0:
+            # J turns while the arm moves: half of that belongs to the tick ahead.
+            turning = robot.jacobian_derivative_times(arm, self._previous) @ self._previous
+            task -= 0.5 * dt * turning
 
         # J⁺ẋ, in coordinates in which every joint costs the same.
         parts = null_space.decompose(arm.jacobian * self._scaling)
@@ -250,7 +264,7 @@ class Planner:
         dq = least_norm + homogeneous  # Eq. 1
 
         scale, stage, reason, coasting = 1.0, safety.Stage.DESIRED, '', self._followed
-        self._followed = arm.jacobian @ dq - robot.task_rows(correction)
+        self._followed = arm.jacobian @ dq - task + robot.task_rows(command)
         if p.safety_filter:
             result, reason = self._filtered(
                 dq, parts, arm, task, near, scene, bool(command.any()), pace, dt)
@@ -313,6 +327,7 @@ class Planner:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none."""
         if self.robot.n == self.robot.m:
             return np.zeros(self.robot.n)
+        growth = self._growth_of(command, dt)
         assert self._reference is not None
         known, held = self._horizons
         horizon, other = (held, known) if ahead is None else (known, held)
@@ -320,12 +335,23 @@ class Planner:
 
         def twist_ahead(times: Array) -> Array:
             if ahead is None:
-                return np.broadcast_to(command, (len(times), 6))
+                return continued(command, growth, times)
             return np.where(self._controlled, ahead(times), 0.0)
 
         poses = poses_ahead(
             self._reference, twist_ahead, horizon.times, self.robot.command_frame)
         return horizon.advance(arm.q, poses, maps, dt)
+
+    def _growth_of(self, command: Array, dt: float) -> float:
+        """Return the rate at which the command has been growing or fading lately [1/s]."""
+        size = float(command @ command)
+        if size == 0.0 or not self._command.any():
+            self._growth = 0.0
+        else:
+            rate = float((command - self._command) @ command) / (size * dt)
+            self._growth += (1.0 - math.exp(-dt / _TREND)) * (rate - self._growth)
+        self._command = command
+        return self._growth
 
     def _clearances(self, arm: Kinematics, scene: Scene) -> tuple[Whitening, Pairs]:
         """Return every link × every obstacle; links carry the clearance margin."""

@@ -19,7 +19,7 @@ Where the first problem has no solution the next one is tried:
               one, J q̇ = s ẋ + r J q̇_prev: an arm in motion cannot turn or stop at once.
     YIELDING  the path gives way, as little as possible: only where something moves into the arm
               or was found too close to it, and only if that is allowed.
-    FORCED    barriers get a heavily priced slack; limits stay.
+    FORCED    the twist stops, s = 0, and barriers get a heavily priced slack; limits stay.
 """
 
 from __future__ import annotations
@@ -274,7 +274,8 @@ def _solve(
     low[:n], high[:n] = lower, upper
     # Proportional braking alone, r = 1, may be all there is: round-off must not shut it out.
     high[n:size] = 1.0 + 1e-6
-    high[n] = 1.0
+    # Where a clearance gives way the arm does not go on along its path.
+    high[n] = 0.0 if slack else 1.0
     high[size:size + m] = 0.0
     low[size + m:] = bounds
     if slack:

@@ -1,0 +1,170 @@
+"""The shortest joint path of all for a task: direct transcription with CasADi and IPOPT.
+
+The problem of Eqs. 11 and 12 over the whole motion at once, with every link clear of every
+obstacle and the joints inside their limits, the same margins as the planner's. It leaves out
+what would only make it longer: velocity and acceleration limits, self-collision, singularities.
+CasADi and IPOPT come with `pip install casadi`, for this benchmark only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from benchmark.generator import DURATION, path_poses, Task
+from redundant_planner.core import drift
+from redundant_planner.core.drift import Pose
+from redundant_planner.core.obstacles import Scene, whitening
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+INTERVALS = 80
+_STEP = 0.004
+# A start is bent aside for this long, at these speeds [s, rad/s].
+_BEND = 1.5
+_SPEEDS = (0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0)
+_TOLERANCE = 1e-6
+
+
+class Optimum:
+    """Solves one task from several starts."""
+
+    def __init__(self, robot: Robot, task: Task) -> None:
+        """Write the problem down; solving is `best`."""
+        self._robot, self._task = robot, task
+        poses = path_poses(robot, task, _STEP)
+        at = np.linspace(0, len(poses) - 1, INTERVALS + 1).round().astype(int)
+        self._times = at * _STEP
+        self._poses = [poses[i] for i in at]
+        p = PlannerParameters()
+        self._low = robot.position_min + p.position_margin
+        self._high = robot.position_max - p.position_margin
+        self._margin = p.clearance_margin
+        self._solver, self._bounds = self._problem()
+
+    def best(self, paths: Iterable[Array]) -> tuple[float, Array] | None:
+        """Return the least ∫ q̇ᵀq̇ dt found and its postures (K + 1, n); None if none was.
+
+        Args:
+            paths: starts besides the bent least-norm ones: postures (k, n) over the motion.
+        """
+        found: tuple[float, Array] | None = None
+        starts = [*(self._resampled(path) for path in paths),
+                  *(self._bent(speed) for speed in _SPEEDS)]
+        for start in starts:
+            result = self._solver(
+                x0=start[1:].ravel(), lbx=np.tile(self._low, INTERVALS),
+                ubx=np.tile(self._high, INTERVALS), lbg=self._bounds[0], ubg=self._bounds[1])
+            if not self._solver.stats()['success']:
+                continue
+            cost = float(result['f'])
+            if found is None or cost < found[0]:
+                nodes = np.array(result['x']).reshape(INTERVALS, -1)
+                found = cost, np.vstack((self._task.start, nodes))
+        return found
+
+    def _problem(self) -> tuple[ca.Function, tuple[Array, Array]]:
+        robot, n = self._robot, self._robot.n
+        scene = Scene.of(self._task.obstacles)
+        maps = whitening(scene, [c.radius + self._margin for c in robot.capsules])
+        q = ca.SX.sym('q', n)
+        tip, ends = _forward(robot, q)
+        pose = ca.SX.sym('pose', 12)
+        wanted = ca.reshape(pose[3:], 3, 3)
+        turned = ca.mtimes(wanted, tip[:3, :3].T)
+        error = ca.vertcat(
+            pose[:3] - tip[:3, 3],
+            0.5 * ca.vertcat(turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0],
+                             turned[1, 0] - turned[0, 1]))
+        rows = robot.task_rows(np.arange(6)).astype(int).tolist()
+        levels = []
+        for link, (start, end) in enumerate(ends):
+            for obstacle in range(len(scene.names)):
+                matrix = maps.matrices[link, obstacle]
+                first = ca.mtimes(matrix, start - scene.centers[obstacle])
+                along = ca.mtimes(matrix, end - start)
+                t = ca.fmin(ca.fmax(
+                    -ca.dot(first, along) / (ca.dot(along, along) + 1e-12), 0.0), 1.0)
+                levels.append(ca.sumsqr(first + t * along))
+        node = ca.Function('node', [q, pose], [error[rows], ca.vertcat(*levels)])
+
+        path = ca.SX.sym('path', n, INTERVALS)
+        previous, cost = ca.SX(self._task.start), ca.SX(0.0)
+        constraints, low, high = [], [], []
+        for i in range(INTERVALS):
+            now = path[:, i]
+            step = self._times[i + 1] - self._times[i]
+            cost += ca.sumsqr(now - previous) / step
+            pose_now = self._poses[i + 1]
+            gap, level = node(now, np.concatenate(
+                (pose_now.position, pose_now.rotation.T.ravel())))
+            constraints += [gap, level]
+            low += [0.0] * len(rows) + [1.0] * len(levels)
+            high += [0.0] * len(rows) + [np.inf] * len(levels)
+            previous = now
+        solver = ca.nlpsol(
+            'shortest', 'ipopt',
+            {'x': ca.vec(path), 'f': cost, 'g': ca.vertcat(*constraints)},
+            {'ipopt.print_level': 0, 'print_time': False, 'ipopt.sb': 'yes',
+             'ipopt.max_iter': 300, 'ipopt.tol': _TOLERANCE})
+        return solver, (np.array(low), np.array(high))
+
+    def _resampled(self, path: Array) -> Array:
+        times = np.linspace(0.0, DURATION, len(path))
+        return np.array([np.interp(self._times, times, column) for column in path.T]).T
+
+    def _bent(self, speed: float) -> Array:
+        """Return least-norm postures that also move along the null space in the beginning."""
+        robot, q = self._robot, self._task.start
+        aside = np.random.default_rng(self._task.seed).normal(size=robot.n)
+        path = [q]
+        for i, pose in enumerate(self._poses[1:]):
+            step = self._times[i + 1] - self._times[i]
+            _, jacobian = robot.tip(q)
+            inverse = np.linalg.pinv(jacobian, rcond=0.02)
+            aside = aside - inverse @ (jacobian @ aside)
+            aside /= np.linalg.norm(aside)
+            if self._times[i] < _BEND:
+                q = q + speed * step * aside
+            for _ in range(3):
+                tip, jacobian = robot.tip(q)
+                error = drift.pose_error(pose, Pose(*tip), robot.command_frame)
+                q = q + np.linalg.pinv(jacobian, rcond=0.02) @ robot.task_rows(error)
+            q = np.clip(q, self._low, self._high)
+            path.append(q)
+        return np.array(path)
+
+
+def _forward(robot: Robot, q: ca.SX) -> tuple[ca.SX, list[tuple[ca.SX, ca.SX]]]:
+    """Return the tip's transform (4, 4) and both ends of every capsule, in the base frame."""
+    model = robot.model
+    placements = [ca.SX(np.eye(4))]
+    for i in range(1, robot.n + 1):
+        subspace = np.array(model.joints[i].createData().S).reshape(6)
+        placements.append(ca.mtimes(
+            placements[-1], ca.mtimes(model.jointPlacements[i].homogeneous,
+                                      _moved(subspace, q[i - 1]))))
+    tip = model.frames[model.getFrameId(robot.tip_frame)]
+    ends = []
+    for capsule in robot.capsules:
+        frame = model.frames[model.getFrameId(capsule.frame)]
+        at = placements[frame.parentJoint]
+        ends.append(tuple(
+            ca.mtimes(at, np.append(frame.placement.act(np.array(end)), 1.0))[:3]
+            for end in (capsule.start, capsule.end)))
+    return ca.mtimes(placements[tip.parentJoint], tip.placement.homogeneous), ends
+
+
+def _moved(subspace: Array, q: ca.SX) -> ca.SX:
+    """Return the transform (4, 4) of a joint about or along its axis (Rodrigues)."""
+    result = ca.SX(np.eye(4))
+    x, y, z = subspace[3:]
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    result[:3, :3] += ca.sin(q) * skew + (1.0 - ca.cos(q)) * (skew @ skew)
+    result[:3, 3] = subspace[:3] * q
+    return result
