@@ -267,7 +267,7 @@ class Planner:
         self._followed = arm.jacobian @ dq - task + robot.task_rows(command)
         if p.safety_filter:
             result, reason = self._filtered(
-                dq, parts, arm, task, near, scene, bool(command.any()), pace, dt)
+                dq, parts, arm, task, robot.task_rows(command), near, scene, pace, dt)
             dq, scale, stage = result.dq, result.scale, result.stage
             # What was followed of the path; neither the way back to it nor what was yielded.
             self._followed = scale * robot.task_rows(command) + result.coast * coasting
@@ -421,7 +421,7 @@ class Planner:
 
     def _filtered(
         self, desired: Array, parts: null_space.Decomposition, arm: Kinematics, task: Array,
-        near: _Near, scene: Scene, commanded: bool, pace: _Pace, dt: float,
+        command: Array, near: _Near, scene: Scene, pace: _Pace, dt: float,
     ) -> tuple[safety.Filtered, str]:
         """Pass the desired velocity through the safety filter and name what acted."""
         p = self._parameters
@@ -437,9 +437,9 @@ class Planner:
         result = safety.safe_velocity(
             desired, bool(parts.singular_values[-1] >= p.damping_threshold), arm.jacobian, task,
             arm.q, self._previous, self._limits, barriers, weights=self._weights,
-            gain=p.barrier_gain, may_yield=may_yield, dt=dt)
+            gain=p.barrier_gain, may_yield=may_yield, dt=dt, feedback=task - command)
         return result, self._reason(
-            result, commanded, lambda: self._pair_names(near, own, scene), dt)
+            result, bool(command.any()), lambda: self._pair_names(near, own, scene), dt)
 
     def _singularity(
         self, arm: Kinematics, parts: null_space.Decomposition,

@@ -177,7 +177,7 @@ def barrier_bounds(barriers: Barriers, gain: float, stop: float, dt: float) -> A
 def safe_velocity(
     desired: Array, exact: bool, jacobian: Array, twist: Array, q: Array, previous: Array,
     limits: Limits, barriers: Barriers, *, weights: Array, gain: float, may_yield: bool,
-    dt: float,
+    dt: float, feedback: Array | None = None,
 ) -> Filtered:
     """Return the admissible joint velocity nearest to the desired one.
 
@@ -193,6 +193,8 @@ def safe_velocity(
         gain: barrier gain [1/s].
         may_yield: whether the path may give way to a barrier.
         dt: [s].
+        feedback: (m,) the part of ẋ that leads back to the path, zero if not given: the arm may
+            return where it must not go on.
     """
     gradient = barriers.gradient
     a = limits.acceleration_max
@@ -225,11 +227,16 @@ def safe_velocity(
         lower, upper = low, high
     urgent = len(gradient) - barriers.soft
     gradient, bounds = gradient[:urgent], barrier_bounds(barriers, gain, stop + dt, dt)[:urgent]
-    for stage in (Stage.YIELDING, Stage.FORCED) if may_yield else (Stage.FORCED,):
-        found = _solve(stage, desired, jacobian, twist, coasting, lower, upper, gradient,
-                       bounds, weights, share=share, path_gives_way=may_yield)
+    if may_yield:
+        found = _solve(Stage.YIELDING, desired, jacobian, twist, coasting, lower, upper,
+                       gradient, bounds, weights, share=share, path_gives_way=True)
         if found is not None:
             return found
+    back = np.zeros(len(twist)) if feedback is None else feedback
+    found = _solve(Stage.FORCED, desired, jacobian, back, coasting, lower, upper, gradient,
+                   bounds, weights, share=share, path_gives_way=may_yield)
+    if found is not None:
+        return found._replace(scale=0.0)
     still = np.minimum(np.maximum(0.0, lower), upper)
     return Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE)
 
@@ -274,8 +281,7 @@ def _solve(
     low[:n], high[:n] = lower, upper
     # Proportional braking alone, r = 1, may be all there is: round-off must not shut it out.
     high[n:size] = 1.0 + 1e-6
-    # Where a clearance gives way the arm does not go on along its path.
-    high[n] = 0.0 if slack else 1.0
+    high[n] = 1.0
     high[size:size + m] = 0.0
     low[size + m:] = bounds
     if slack:
