@@ -11,6 +11,7 @@ import numpy.typing as npt
 import yaml
 
 from redundant_planner.core.errors import known, PlannerError, ScenarioError
+from redundant_planner.core.horizon import Preview
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.core.robot import Robot
 from redundant_planner.resources import resolve
@@ -55,6 +56,12 @@ class Scenario:
         if self.linear:
             return np.array([np.interp(time, self.times, axis) for axis in self.twists.T])
         return self.twists[int(np.searchsorted(self.times, time, side='right')) - 1].copy()
+
+    def preview(self) -> Preview:
+        """Return the whole profile as what will be commanded."""
+        if self.linear:
+            return Preview(self.times, self.twists)
+        return Preview(np.repeat(self.times, 2)[1:-1], np.repeat(self.twists[:-1], 2, axis=0))
 
     def load_robot(self, **changes: Any) -> Robot:
         """Build the scenario's robot; `changes` replace fields of RobotParameters.

@@ -104,3 +104,12 @@ def test_planner_files_name_only_parameters_that_exist():
         assert set(values) <= known, path
         PlannerParameters(**{k: v for k, v in values.items()
                              if k in {f.name for f in fields(PlannerParameters)}})
+
+
+@pytest.mark.parametrize('interpolation', ['linear', 'hold'])
+def test_the_preview_of_a_profile_is_the_profile(tmp_path, interpolation):
+    scenario = load_scenario(written(
+        tmp_path, GOOD.replace('interpolation: linear', f'interpolation: {interpolation}')))
+    times = np.array([-0.1, 0.0, 0.5, 0.999, 1.0, 1.7, 2.999, 3.0, 5.0])
+    np.testing.assert_allclose(scenario.preview().at(times),
+                               [scenario.twist_at(t) for t in times], atol=1e-12)

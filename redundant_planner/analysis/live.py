@@ -20,6 +20,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.analysis.recording import BagWriter
@@ -31,6 +32,8 @@ _TOPICS = {
     'joint_states': (JointState, 'sensor_msgs/msg/JointState'),
     'joint_command': (JointState, 'sensor_msgs/msg/JointState'),
     'cmd_vel': (Twist, 'geometry_msgs/msg/Twist'),
+    'cmd_vel_preview': (
+        MultiDOFJointTrajectory, 'trajectory_msgs/msg/MultiDOFJointTrajectory'),
     'obstacles': (MarkerArray, 'visualization_msgs/msg/MarkerArray'),
     'robot_description': (String, 'std_msgs/msg/String'),
 }

@@ -28,6 +28,7 @@ import pinocchio as pin
 
 from redundant_planner.core import drift, null_space
 from redundant_planner.core.drift import Pose
+from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles import clearance_gradients, link_clearance, Whitening
 from redundant_planner.core.robot import Kinematics, Robot
 
@@ -64,6 +65,49 @@ _UNBOUNDED = 1e30
 def node_times(duration: float, nodes: int) -> Array:
     """Return the times t₀ = 0 … t_N = duration of N nodes, dense at the beginning [s]."""
     return duration * (np.arange(nodes + 1) / nodes) ** _STRETCH
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What will be commanded, linear between its points and zero outside.
+
+    Attributes:
+        times: (k,) not descending [s]; two equal ones make a step.
+        twists: (k, 6) [m/s, rad/s].
+    """
+
+    times: Array
+    twists: Array
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            StateError: there are no points, lengths differ, a value is not finite or times go
+                backwards.
+        """
+        k = len(self.times)
+        if not k or self.twists.shape != (k, 6):
+            raise StateError(f'the preview has {k} times and twists of shape '
+                             f'{self.twists.shape}; it takes one or more points with six '
+                             'numbers each')
+        if not (np.isfinite(self.times).all() and np.isfinite(self.twists).all()):
+            raise StateError('the preview has a number that is not finite')
+        if (np.diff(self.times) < 0.0).any():
+            at = int((np.diff(self.times) < 0.0).argmax())
+            raise StateError(f'the times of the preview go backwards, from {self.times[at]} to '
+                             f'{self.times[at + 1]} s')
+
+    def at(self, times: Array) -> Array:
+        """Return the twists (N, 6) at times (N,)."""
+        after = np.searchsorted(self.times, times, side='right')
+        inside = (after > 0) & (after < len(self.times))
+        after = np.minimum(np.maximum(after, 1), max(len(self.times) - 1, 0))
+        before = np.maximum(after - 1, 0)
+        span = np.maximum(self.times[after] - self.times[before], np.finfo(float).tiny)
+        share = ((times - self.times[before]) / span)[:, None]
+        twists = (1.0 - share) * self.twists[before] + share * self.twists[after]
+        return np.where(inside[:, None], twists, 0.0)
 
 
 def continued(command: Array, growth: float, times: Array) -> Array:

@@ -16,13 +16,7 @@ import numpy.typing as npt
 from redundant_planner.core import drift, indices, null_space, safety
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.horizon import (
-    continued,
-    Horizon,
-    node_times,
-    poses_ahead,
-    TwistAhead,
-)
+from redundant_planner.core.horizon import continued, Horizon, node_times, poses_ahead, TwistAhead
 from redundant_planner.core.obstacles import (
     clearance_gradients,
     link_clearance,

@@ -8,9 +8,11 @@ from geometry_msgs.msg import Twist
 import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import known, ObstacleError, StateError
+from redundant_planner.core.horizon import Preview
 from redundant_planner.core.obstacles import Obstacle
 
 Array = npt.NDArray[np.float64]
@@ -37,6 +39,34 @@ def twist_to_message(twist: npt.ArrayLike) -> Twist:
     values = np.asarray(twist, dtype=float).tolist()
     message.linear.x, message.linear.y, message.linear.z = values[:3]
     message.angular.x, message.angular.y, message.angular.z = values[3:]
+    return message
+
+
+def preview_from_message(message: MultiDOFJointTrajectory) -> Preview:
+    """Return the twists ahead; each point has its time and one velocity.
+
+    Raises:
+        StateError: a point has no or several velocities, or the numbers make no preview.
+    """
+    for i, point in enumerate(message.points):
+        if len(point.velocities) != 1:
+            raise StateError(f'point {i} of the preview has {len(point.velocities)} velocities; '
+                             'it takes one, of the tip')
+    times = [p.time_from_start.sec + p.time_from_start.nanosec / NANOSECONDS
+             for p in message.points]
+    twists = [twist_from_message(p.velocities[0]) for p in message.points]
+    return Preview(np.array(times), np.array(twists).reshape(-1, 6))
+
+
+def preview_to_message(preview: Preview) -> MultiDOFJointTrajectory:
+    """Return the twists ahead as a message without a stamp."""
+    message = MultiDOFJointTrajectory()
+    for time, twist in zip(preview.times, preview.twists):
+        point = MultiDOFJointTrajectoryPoint(velocities=[twist_to_message(twist)])
+        nanoseconds = round(float(time) * NANOSECONDS)
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(
+            nanoseconds, NANOSECONDS)
+        message.points.append(point)
     return message
 
 

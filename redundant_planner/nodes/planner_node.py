@@ -10,16 +10,20 @@ import numpy.typing as npt
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import PlannerError, StateError
+from redundant_planner.core.horizon import Preview, TwistAhead
 from redundant_planner.core.joint_motion import has_jumped, PositionCommand
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner, StepResult
 from redundant_planner.core.robot import Robot
 from redundant_planner.nodes import messages, process
+from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 from redundant_planner.nodes.ros_parameters import (
     declare,
@@ -67,6 +71,8 @@ class PlannerNode(process.EndableNode):
         self._q_time = 0.0
         self._twist: Array = np.zeros(6)
         self._twist_time = -np.inf
+        self._preview: Preview | None = None
+        self._preview_start = 0.0
         self._reason = ''
         self._period = 1.0 / self._settings.rate
 
@@ -99,6 +105,8 @@ class PlannerNode(process.EndableNode):
         self._obstacles = ObstacleBook(self._static, sorted(frames))
         self.create_subscription(Twist, 'cmd_vel', self._on_twist, qos_profile_sensor_data)
         self.create_subscription(
+            MultiDOFJointTrajectory, 'cmd_vel_preview', self._on_preview, 1)
+        self.create_subscription(
             JointState, 'joint_states', self._on_joint_state, qos_profile_sensor_data)
         self.create_subscription(MarkerArray, 'obstacles', self._on_obstacles, 10)
         on_change(self, lambda: (self._planner_parameters, self._settings), self._apply)
@@ -129,6 +137,25 @@ class PlannerNode(process.EndableNode):
         except StateError as error:
             self._warn(f'cmd_vel ignored: {error}')
 
+    def _on_preview(self, message: MultiDOFJointTrajectory) -> None:
+        try:
+            self._preview = messages.preview_from_message(message)
+        except StateError as error:
+            self._warn(f'cmd_vel_preview ignored: {error}')
+            return
+        stamp = message.header.stamp
+        age = 0.0
+        if stamp.sec or stamp.nanosec:
+            age = (self.get_clock().now() - Time.from_msg(stamp)).nanoseconds / NANOSECONDS
+        self._preview_start = time.monotonic() - age
+
+    def _ahead(self, now: float) -> TwistAhead | None:
+        """Return what will be commanded from now on; None once the preview is over."""
+        preview, elapsed = self._preview, now - self._preview_start
+        if preview is None or elapsed > preview.times[-1]:
+            return None
+        return lambda times: preview.at(times + elapsed)
+
     def _on_joint_state(self, message: JointState) -> None:
         try:
             q = messages.positions_from_message(message, self.robot.joint_names)
@@ -158,7 +185,8 @@ class PlannerNode(process.EndableNode):
         self._obstacles.expire(now)
         assert self._planner is not None
         result = self._planner.step(
-            self._q, self._twist if fresh else np.zeros(6), self._obstacles.scene, self._period)
+            self._q, self._twist if fresh else np.zeros(6), self._obstacles.scene, self._period,
+            self._ahead(now) if fresh else None)
         self._publish(result.dq)
         self._report(result)
 
@@ -171,6 +199,7 @@ class PlannerNode(process.EndableNode):
 
     def _start_again(self) -> None:
         self._twist_time = -np.inf
+        self._preview = None
         self._position_command.reset()
         assert self._planner is not None
         self._planner.reset()

@@ -8,7 +8,9 @@ import time
 from geometry_msgs.msg import Twist
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import ParameterError
@@ -35,8 +37,11 @@ class PlayerParameters:
         200, low=1, high=1000, unit='Hz', description='Rate of cmd_vel.')
     subscribers: int = parameter(
         1, low=1, high=100,
-        description='The motion starts once this many nodes listen on cmd_vel and obstacles: 2 '
-                    'where a recorder must not miss the beginning.')
+        description='The motion starts once this many nodes listen on its topics: 2 where a '
+                    'recorder must not miss the beginning.')
+    preview: bool = parameter(
+        True, description='Whether the whole twist is announced on cmd_vel_preview before the '
+                          'motion, for planners that look ahead.')
     settle: float = parameter(
         1.0, low=0.0, high=60.0, unit='s',
         description='How long the twist stays zero before the motion, while the middleware gets '
@@ -65,6 +70,8 @@ class ScenarioPlayer(process.EndableNode):
         self._base = self._scenario.load_robot(**changes).base_frame
         self._settle = settings.settle
         self._subscribers = settings.subscribers
+        self._preview = (self.create_publisher(MultiDOFJointTrajectory, 'cmd_vel_preview', 1)
+                         if settings.preview else None)
         self._begin: float | None = None
         self._ready = False
         self._twist = self.create_publisher(Twist, 'cmd_vel', 10)
@@ -78,11 +85,12 @@ class ScenarioPlayer(process.EndableNode):
 
     def _tick(self) -> None:
         if self._begin is None:
-            listeners = min(self._twist.get_subscription_count(),
-                            self._obstacles.get_subscription_count())
+            topics = [self._twist, self._obstacles] + ([self._preview] if self._preview else [])
+            listeners = min(topic.get_subscription_count() for topic in topics)
             if not self._ready or listeners < self._subscribers:
                 return
             self._obstacles.publish(messages.markers_of(self._scenario.obstacles, self._base))
+            self._announce()
             self._begin = time.monotonic() + self._settle
         elapsed = time.monotonic() - self._begin
         twist = self._scenario.twist_at(elapsed) if elapsed >= 0.0 else np.zeros(6)
@@ -90,6 +98,14 @@ class ScenarioPlayer(process.EndableNode):
         if elapsed > self._scenario.duration + self._settle:
             self.get_logger().info(f"scenario '{self._scenario.name}' is over")
             self.done = True
+
+    def _announce(self) -> None:
+        if self._preview is None:
+            return
+        message = messages.preview_to_message(self._scenario.preview())
+        message.header.stamp = (self.get_clock().now() + Duration(seconds=self._settle)).to_msg()
+        message.header.frame_id = self._base
+        self._preview.publish(message)
 
 
 def main(args: list[str] | None = None) -> int:

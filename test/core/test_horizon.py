@@ -17,7 +17,14 @@ from test_obstacles import random_scene
 
 from redundant_planner.core import drift
 from redundant_planner.core.drift import Pose
-from redundant_planner.core.horizon import Horizon, node_times, poses_ahead
+from redundant_planner.core.errors import StateError
+from redundant_planner.core.horizon import (
+    continued,
+    Horizon,
+    node_times,
+    poses_ahead,
+    Preview,
+)
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -106,7 +113,7 @@ def test_the_linearisation_is_exact_to_first_order(make):
             return robot.kinematics_along(nodes + (w.reshape(3, 1, -1) @ local.directions)[:, 0])
 
         errors = central_difference(
-            lambda w, poses=poses: horizon._errors(moved(w), poses), zero)
+            lambda w, h=horizon, p=poses: h._errors(moved(w), p), zero)
         np.testing.assert_allclose(errors, 0.0, atol=1e-6)
         arms = robot.kinematics_along(nodes)
         pairs = link_clearance(maps, arms.segment_start, arms.segment_end, horizon.times[1:])
@@ -118,6 +125,33 @@ def test_the_linearisation_is_exact_to_first_order(make):
                 expected = slopes[at, link, obstacle].reshape(3, -1)
                 np.testing.assert_allclose(local.gradients[row], expected[at], atol=2e-5)
                 assert local.at[row] == at
+
+
+def test_a_preview_is_linear_between_its_points_steps_at_equal_times_and_ends():
+    one = np.ones(6)
+    preview = Preview(np.array([0.0, 1.0, 1.0, 2.0, 3.0]), np.outer([0, 1, 3, 3, 0], one))
+    values = preview.at(np.array([-0.1, 0.0, 0.25, 1.0, 1.5, 2.5, 3.0, 9.0]))[:, 0]
+    np.testing.assert_allclose(values, [0.0, 0.0, 0.25, 3.0, 3.0, 1.5, 0.0, 0.0])
+    assert not Preview(np.zeros(1), one[None]).at(np.array([-1.0, 0.0, 1.0])).any()
+
+
+@pytest.mark.parametrize(('times', 'twists', 'message'), [
+    ([], np.empty((0, 6)), 'has 0 times'),
+    ([0.0, 1.0], np.zeros((1, 6)), 'one or more points with six numbers each'),
+    ([0.0, np.nan], np.zeros((2, 6)), 'not finite'),
+    ([0.0, 2.0, 1.0], np.zeros((3, 6)), 'go backwards, from 2.0 to 1.0 s'),
+])
+def test_a_bad_preview_is_refused(times, twists, message):
+    with pytest.raises(StateError, match=message):
+        Preview(np.array(times), twists)
+
+
+def test_a_held_command_goes_on_as_it_did():
+    command = np.array([0.1, 0.0, -0.2, 0.0, 0.3, 0.0])
+    times = np.array([0.0, 0.5, 1.0, 4.0])
+    for growth, shares in ((0.0, [1, 1, 1, 1]), (1.0, [1, 1.5, 2, 2]), (-1.0, [1, 0.5, 0, 0])):
+        np.testing.assert_allclose(
+            continued(command, growth, times), np.outer(shares, command))
 
 
 def test_obstacles_have_moved_by_the_time_a_node_is_reached(planar):

@@ -14,7 +14,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
-from redundant_planner.analysis import paper
+from redundant_planner.analysis import metrics, paper
 from redundant_planner.analysis.demo import summarise
 from redundant_planner.analysis.live import play
 from redundant_planner.analysis.recording import read_recording
@@ -51,6 +51,21 @@ def test_the_papers_motion_live(tmp_path):
     np.testing.assert_allclose(moved, [-0.087, -0.150, 0.011], atol=2e-3)
     assert recording.robot_description.lstrip().startswith('<?xml')
     assert summary.periods.median == pytest.approx(0.004, rel=0.05)
+
+
+def test_looking_ahead_live_takes_the_shorter_joint_path(tmp_path):
+    """variational, told by the player what comes, costs less than looking at the instant."""
+    scenario = load_scenario(PAPER)
+    robot = scenario.load_robot()
+    effort = {}
+    for i, method in enumerate(('dynamic_factor', 'variational')):
+        run = play(scenario, PAPER, tmp_path / method, domain_id=103 + i,
+                   planner_values={'method': method})
+        recording = read_recording(run.bag)
+        summary = summarise(robot, recording)
+        assert summary.path_error < 1e-3 and summary.clearance.level > 0.0
+        effort[method] = metrics.effort(summary.states.velocities, summary.states.times)
+    assert effort['variational'] < 0.95 * effort['dynamic_factor']
 
 
 def test_the_papers_method_live_ends_where_it_ends_offline(tmp_path):

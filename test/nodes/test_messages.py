@@ -10,10 +10,13 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import StateError
+from redundant_planner.core.horizon import Preview
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.nodes.messages import (
     markers_of,
     positions_from_message,
+    preview_from_message,
+    preview_to_message,
     twist_from_message,
     twist_to_message,
 )
@@ -118,3 +121,20 @@ def test_a_lifetime_ends_and_the_scene_stays_the_same_object_until_then():
     assert book.scene is scene
     book.expire(0.5)
     assert book.scene.names == ('ball/1',)
+
+
+def test_a_preview_survives_the_way_there_and_back():
+    preview = Preview(np.array([0.0, 0.1, 1.25]), np.random.default_rng(0).normal(size=(3, 6)))
+    again = preview_from_message(preview_to_message(preview))
+    np.testing.assert_allclose(again.times, preview.times, atol=1e-9)
+    np.testing.assert_array_equal(again.twists, preview.twists)
+
+
+def test_a_bad_preview_is_refused_with_the_reason():
+    message = preview_to_message(Preview(np.array([0.0, 1.0]), np.zeros((2, 6))))
+    message.points[1].velocities = []
+    with pytest.raises(StateError, match='point 1 of the preview has 0 velocities'):
+        preview_from_message(message)
+    message.points = []
+    with pytest.raises(StateError, match='has 0 times'):
+        preview_from_message(message)
