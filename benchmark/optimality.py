@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from benchmark.generator import generate
-from benchmark.scenarios import Bench, Outcome, parser_of, print_table
+from benchmark.generator import generate, path_poses
+from benchmark.scenarios import Bench, DT, Outcome, parser_of, print_table
+from redundant_planner.core.parameters import PlannerParameters
 
 METHODS = ('dynamic_factor', 'least_norm_filtered', 'variational_held', 'variational_known')
 
@@ -27,7 +28,9 @@ def _run(seed: int) -> tuple[dict[str, Outcome], float | None]:
     from benchmark.optimum import Optimum
     outcomes = _bench(seed)
     completed = [o.postures for o in outcomes.values() if o.tracked]
-    best = Optimum(_bench.robot, generate(_bench.robot, seed)).best(completed)
+    robot, task = _bench.robot, generate(_bench.robot, seed)
+    best = Optimum(robot, task.start, path_poses(robot, task, DT), DT, task.obstacles,
+                   PlannerParameters().clearance_margin).best(completed)
     return outcomes, None if best is None else best[0]
 
 

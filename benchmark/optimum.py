@@ -8,23 +8,21 @@ CasADi and IPOPT come with `pip install casadi`, for this benchmark only.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from benchmark.generator import DURATION, path_poses, Task
 from redundant_planner.core import drift
 from redundant_planner.core.drift import Pose
-from redundant_planner.core.obstacles import Scene, whitening
+from redundant_planner.core.obstacles import Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import Robot
 
 Array = npt.NDArray[np.float64]
 
 INTERVALS = 80
-_STEP = 0.004
 # A start is bent aside for this long, at these speeds [s, rad/s].
 _BEND = 1.5
 _SPEEDS = (0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0)
@@ -34,17 +32,28 @@ _TOLERANCE = 1e-6
 class Optimum:
     """Solves one task from several starts."""
 
-    def __init__(self, robot: Robot, task: Task) -> None:
-        """Write the problem down; solving is `best`."""
-        self._robot, self._task = robot, task
-        poses = path_poses(robot, task, _STEP)
+    def __init__(
+        self, robot: Robot, start: Array, poses: Sequence[Pose], step: float,
+        obstacles: Sequence[Obstacle], margin: float,
+    ) -> None:
+        """Write the problem down; solving is `best`.
+
+        Args:
+            robot: the arm.
+            start: (n,) posture.
+            poses: where the tip has to be, from the start on.
+            step: between them [s].
+            obstacles: that stand still.
+            margin: kept between links and obstacles [m].
+        """
+        self._robot, self._start, self._margin = robot, start, margin
         at = np.linspace(0, len(poses) - 1, INTERVALS + 1).round().astype(int)
-        self._times = at * _STEP
+        self._times = at * step
         self._poses = [poses[i] for i in at]
+        self._scene = Scene.of(obstacles)
         p = PlannerParameters()
         self._low = robot.position_min + p.position_margin
         self._high = robot.position_max - p.position_margin
-        self._margin = p.clearance_margin
         self._solver, self._bounds = self._problem()
 
     def best(self, paths: Iterable[Array]) -> tuple[float, Array] | None:
@@ -65,12 +74,12 @@ class Optimum:
             cost = float(result['f'])
             if found is None or cost < found[0]:
                 nodes = np.array(result['x']).reshape(INTERVALS, -1)
-                found = cost, np.vstack((self._task.start, nodes))
+                found = cost, np.vstack((self._start, nodes))
         return found
 
     def _problem(self) -> tuple[ca.Function, tuple[Array, Array]]:
         robot, n = self._robot, self._robot.n
-        scene = Scene.of(self._task.obstacles)
+        scene = self._scene
         maps = whitening(scene, [c.radius + self._margin for c in robot.capsules])
         q = ca.SX.sym('q', n)
         tip, ends = _forward(robot, q)
@@ -94,7 +103,7 @@ class Optimum:
         node = ca.Function('node', [q, pose], [error[rows], ca.vertcat(*levels)])
 
         path = ca.SX.sym('path', n, INTERVALS)
-        previous, cost = ca.SX(self._task.start), ca.SX(0.0)
+        previous, cost = ca.SX(self._start), ca.SX(0.0)
         constraints, low, high = [], [], []
         for i in range(INTERVALS):
             now = path[:, i]
@@ -115,13 +124,13 @@ class Optimum:
         return solver, (np.array(low), np.array(high))
 
     def _resampled(self, path: Array) -> Array:
-        times = np.linspace(0.0, DURATION, len(path))
+        times = np.linspace(0.0, self._times[-1], len(path))
         return np.array([np.interp(self._times, times, column) for column in path.T]).T
 
     def _bent(self, speed: float) -> Array:
         """Return least-norm postures that also move along the null space in the beginning."""
-        robot, q = self._robot, self._task.start
-        aside = np.random.default_rng(self._task.seed).normal(size=robot.n)
+        robot, q = self._robot, self._start
+        aside = np.random.default_rng(0).normal(size=robot.n)
         path = [q]
         for i, pose in enumerate(self._poses[1:]):
             step = self._times[i + 1] - self._times[i]

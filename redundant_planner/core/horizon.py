@@ -50,8 +50,10 @@ _SHORTER = 0.9
 # A survey looks so far to either side of the least-norm path, in steps of that size [rad], and
 # what it finds gets so many steps to settle.
 _SIDESTEPS = 9
-_SIDESTEP = 0.3
+_SIDESTEP_SIZES = (0.3, 0.1)
 _SETTLING = 5
+# Steps of the first tick after a reset, when the arm is at rest: two surveys.
+_FIRST_STEPS = 100
 # Squared damping of the way back to the poses: near a singularity it takes some more steps [m²].
 _DAMPING = 1e-4
 # Price of being inside a clearance in a survey [1/m].
@@ -210,6 +212,7 @@ class _Survey:
     Attributes:
         q, poses, maps: the snapshot.
         aside: (n,) the direction looked in; its projection on the null space counts.
+        size: of a step aside [rad, m].
         here: (n,) where the next path starts.
         elapsed: time since the snapshot [s].
         rows: what was seen to one side and then the other, outwards each: postures (N, n) and
@@ -220,6 +223,7 @@ class _Survey:
     poses: Poses
     maps: Whitening
     aside: Array
+    size: float
     here: Array
     elapsed: float = 0.0
     rows: list[tuple[Array, Array]] = field(default_factory=list)
@@ -268,13 +272,15 @@ class Horizon:
         self._plan: _Plan | None = None
         self._survey: _Survey | None = None
         self._found: _Plan | None = None
-        self._ticks, self._settled = 0, 0
+        self._closest: Array | None = None
+        self._ticks, self._settled, self._surveys = 0, 0, 0
         self._random = np.random.default_rng(0)
 
     def advance(self, q: Array, poses: Poses, maps: Whitening, dt: float) -> Array | None:
         """Move the plan on by `dt`, take one step, and return the plan's velocity (n,) now.
 
-        None where the QP has no solution; the next tick then starts afresh.
+        None where the QP has no solution; the next tick then starts afresh. The first tick
+        after a reset takes many steps, and so some 50 ms.
 
         Args:
             q: (n,) where the arm is.
@@ -288,6 +294,12 @@ class Horizon:
             self._found = self._moved_on(self._found, q, dt)
         if self._survey is not None:
             self._survey.elapsed += dt
+        for _ in range(1 if self._ticks else _FIRST_STEPS):
+            self._step(q, poses, maps)
+        return None if self._plan is None else (self._plan.nodes[0] - q) * self._stiffness[0]
+
+    def _step(self, q: Array, poses: Poses, maps: Whitening) -> None:
+        """Give one step to the plan, to a survey or to what one has found."""
         self._ticks += 1
         if self._plan is None or self._ticks % (2 if self._plan.admissible else 4) == 0:
             self._follow(q, poses, maps)
@@ -295,12 +307,13 @@ class Horizon:
             self._settle(q, poses, maps)
         else:
             self._look_around(q, poses, maps)
-        return None if self._plan is None else (self._plan.nodes[0] - q) * self._stiffness[0]
 
     def _follow(self, q: Array, poses: Poses, maps: Whitening) -> None:
         """Take one step with the plan; start it where there is none worth mending."""
         if self._plan is not None:
             plan, local = self._look(q, self._plan.nodes, poses, maps)
+            self._closest = (local.gradients[int(local.bounds.argmax())]
+                             if local.bounds.size else None)
             if plan.error < _LOST:
                 self._plan = self._improved(plan, local)
                 return
@@ -311,7 +324,13 @@ class Horizon:
     def _look_around(self, q: Array, poses: Poses, maps: Whitening) -> None:
         """Take one step of a survey; at its end, the cheapest way that it has found."""
         if self._survey is None:
-            self._survey = _Survey(q, poses, maps, self._random.normal(size=len(q)), q)
+            # Away from the obstacle that the plan is closest to, or just anywhere.
+            aside = self._random.normal(size=len(q))
+            if self._closest is not None and self._surveys % 4 < 2:
+                aside = self._closest
+            size = _SIDESTEP_SIZES[self._surveys % len(_SIDESTEP_SIZES)]
+            self._surveys += 1
+            self._survey = _Survey(q, poses, maps, aside, size, q)
         survey = self._survey
         nodes = self._least_norm_path(survey.here, survey.poses)
         survey.rows.append((nodes, self._price(nodes, survey.maps)))
@@ -321,9 +340,10 @@ class Horizon:
             return
         if len(survey.rows) == _SIDESTEPS + 1:
             survey.here, survey.aside = survey.q, -survey.aside
-        survey.here, survey.aside = self._sidestep(survey.here, survey.aside)
+        survey.here, survey.aside = self._sidestep(
+            survey.here, survey.aside, survey.size)
 
-    def _sidestep(self, q: Array, aside: Array) -> tuple[Array, Array]:
+    def _sidestep(self, q: Array, aside: Array, size: float) -> tuple[Array, Array]:
         """Return a posture (n,) a step aside with the same tip pose, and the step's direction."""
         robot = self._robot
         tip, jacobian = robot.tip(q)
@@ -331,7 +351,7 @@ class Horizon:
             null_space.decompose(jacobian * self._scaling), aside / self._scaling)
         step *= self._scaling / max(math.sqrt(step @ step), 1e-9)
         pose = Poses(tip.position[None], tip.rotation[None])
-        return self._least_norm_path(q + _SIDESTEP * step, pose)[0], step
+        return self._least_norm_path(q + size * step, pose)[0], step
 
     def _price(self, nodes: Array, maps: Whitening) -> Array:
         """Return what being at postures (N, n) costs a survey, (N,)."""

@@ -18,13 +18,7 @@ from test_obstacles import random_scene
 from redundant_planner.core import drift
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.horizon import (
-    continued,
-    Horizon,
-    node_times,
-    poses_ahead,
-    Preview,
-)
+from redundant_planner.core.horizon import continued, Horizon, node_times, poses_ahead, Preview
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
