@@ -142,7 +142,7 @@ def joint_curves(
     figure = Figure(figsize=(13.0, 6.5), layout='constrained')
     figure.suptitle(title)
     for i, name in enumerate(names):
-        axes = figure.add_subplot(2, 3, i + 1)
+        axes = figure.add_subplot(2, (len(names) + 1) // 2, i + 1)
         for method, (style, times, values) in curves.items():
             axes.plot(times, values[:, i], style, label=method, linewidth=1.5)
         axes.set_title(name)

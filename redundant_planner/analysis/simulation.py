@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.horizon import TwistAhead
 from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.planner import Planner, StepResult
 
@@ -33,7 +34,7 @@ class Motion:
 
 def simulate(
     planner: Planner, start: Array, twist_at: Callable[[float], Array], scene: Scene,
-    duration: float, dt: float,
+    duration: float, dt: float, preview: TwistAhead | None = None,
 ) -> Motion:
     """Run the planner from rest at `start` for `duration`, one tick per `dt` [s].
 
@@ -44,6 +45,8 @@ def simulate(
         scene: the obstacles.
         duration: [s].
         dt: [s].
+        preview: what the variational method is told, times (N,) [s] → twists (N, 6); nothing
+            if None.
     """
     planner.reset()
     count = round(duration / dt)
@@ -51,9 +54,14 @@ def simulate(
     positions[0] = start
     results = []
     for i in range(count):
-        result = planner.step(positions[i], twist_at(i * dt), scene, dt)
+        ahead = None if preview is None else _from(preview, i * dt)
+        result = planner.step(positions[i], twist_at(i * dt), scene, dt, ahead)
         positions[i + 1] = positions[i] + dt * result.dq
         results.append(result)
     times: Array = np.linspace(0.0, count * dt, count + 1, dtype=np.float64)
     return Motion(times, positions,
                   np.array([r.dq for r in results]), tuple(results))
+
+
+def _from(preview: TwistAhead, now: float) -> TwistAhead:
+    return lambda times: preview(now + times)

@@ -52,8 +52,6 @@ _SHORTER = 0.9
 _SIDESTEPS = 9
 _SIDESTEP_SIZES = (0.3, 0.1)
 _SETTLING = 5
-# Steps of the first tick after a reset, when the arm is at rest: two surveys.
-_FIRST_STEPS = 100
 # Squared damping of the way back to the poses: near a singularity it takes some more steps [m²].
 _DAMPING = 1e-4
 # Price of being inside a clearance in a survey [1/m].
@@ -276,17 +274,19 @@ class Horizon:
         self._ticks, self._settled, self._surveys = 0, 0, 0
         self._random = np.random.default_rng(0)
 
-    def advance(self, q: Array, poses: Poses, maps: Whitening, dt: float) -> Array | None:
-        """Move the plan on by `dt`, take one step, and return the plan's velocity (n,) now.
+    def advance(
+        self, q: Array, poses: Poses, maps: Whitening, dt: float, steps: int = 1,
+    ) -> Array | None:
+        """Move the plan on by `dt`, improve it, and return its velocity (n,) now.
 
-        None where the QP has no solution; the next tick then starts afresh. The first tick
-        after a reset takes many steps, and so some 50 ms.
+        None where the QP has no solution; the next tick then starts afresh.
 
         Args:
             q: (n,) where the arm is.
             poses: N, from `poses_ahead`.
             maps: the obstacles now, for links with their margin.
             dt: time since the last tick [s].
+            steps: to take, of some 0.5 ms each.
         """
         if self._plan is not None:
             self._plan = self._moved_on(self._plan, q, dt)
@@ -294,7 +294,7 @@ class Horizon:
             self._found = self._moved_on(self._found, q, dt)
         if self._survey is not None:
             self._survey.elapsed += dt
-        for _ in range(1 if self._ticks else _FIRST_STEPS):
+        for _ in range(steps):
             self._step(q, poses, maps)
         return None if self._plan is None else (self._plan.nodes[0] - q) * self._stiffness[0]
 

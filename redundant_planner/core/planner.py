@@ -38,6 +38,8 @@ _AT_REST = 1e-5
 _SINGULARITY_NEAR = 5.0
 # Entries of a twist beyond this are cut back before anything is computed with them.
 _ABSURD = 1e100
+# Steps of the horizon in the very first tick: two surveys, some 50 ms.
+_FIRST_STEPS = 100
 # Over how long the trend of a held command is averaged [s].
 _TREND = 0.1
 _NO_PAIRS = np.empty(0, dtype=np.intp)
@@ -215,6 +217,7 @@ class Planner:
         """
         robot, p = self.robot, self._parameters
         command = self._checked_command(twist, dt)
+        first = self._reference is None
         arm = robot.kinematics(q)
 
         # ẋ: the command plus what brings the tip back to the reference pose (§ drift).
@@ -241,7 +244,7 @@ class Planner:
         near = self._near(arm, maps, pairs, pace)
         shortest = None
         if p.method == 'variational':
-            shortest = self._shortest_path(arm, command, ahead, maps, dt)
+            shortest = self._shortest_path(arm, command, ahead, first, maps, dt)
         level, clearance = self._clearance_gradient(arm, near, scene)
         fallback = p.method == 'variational' and shortest is None
         if shortest is not None:
@@ -315,10 +318,14 @@ class Planner:
         return kept
 
     def _shortest_path(
-        self, arm: Kinematics, command: Array, ahead: TwistAhead | None, maps: Whitening,
-        dt: float,
+        self, arm: Kinematics, command: Array, ahead: TwistAhead | None, first: bool,
+        maps: Whitening, dt: float,
     ) -> Array | None:
-        """Return the velocity (n,) of the shortest joint path ahead, None where there is none."""
+        """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
+
+        A profile that is known from the very first tick on, when the arm is at rest and nobody
+        waits for a command yet, is planned thoroughly.
+        """
         if self.robot.n == self.robot.m:
             return np.zeros(self.robot.n)
         growth = self._growth_of(command, dt)
@@ -334,7 +341,8 @@ class Planner:
 
         poses = poses_ahead(
             self._reference, twist_ahead, horizon.times, self.robot.command_frame)
-        return horizon.advance(arm.q, poses, maps, dt)
+        steps = _FIRST_STEPS if first and ahead is not None else 1
+        return horizon.advance(arm.q, poses, maps, dt, steps)
 
     def _growth_of(self, command: Array, dt: float) -> float:
         """Return the rate at which the command has been growing or fading lately [1/s]."""

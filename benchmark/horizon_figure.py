@@ -1,0 +1,106 @@
+"""Draws and tabulates docs/horizon.md: `python -m benchmark.horizon_figure`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
+
+from benchmark.generator import DURATION, generate, path_poses
+from benchmark.optimum import Optimum
+from benchmark.scenarios import DT, make_robot
+from redundant_planner.analysis import metrics, paper
+from redundant_planner.analysis.figures import joint_curves
+from redundant_planner.analysis.simulation import simulate
+from redundant_planner.core.drift import integrate, Pose
+from redundant_planner.core.horizon import TwistAhead
+from redundant_planner.core.obstacles import Obstacle, Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+_FOLDER = Path(__file__).resolve().parent.parent / 'docs' / 'figures'
+_STYLES = {'traditional': '--', 'dynamic factor': '-.', 'variational': '-', 'optimum': ':'}
+_OURS = {'dynamic factor': PlannerParameters(),
+         'variational': PlannerParameters(method='variational')}
+_PANDA_SEED = 2001
+
+
+def compare(
+    robot: Robot, start: Array, profile: TwistAhead, duration: float,
+    obstacles: tuple[Obstacle, ...], poses: list[Pose], methods: Mapping[str, PlannerParameters],
+) -> dict[str, tuple[Array, Array]]:
+    """Return name → (times, postures) of every method and of the optimum."""
+    scene, found = Scene.of(obstacles), {}
+    for name, parameters in methods.items():
+        motion = simulate(Planner(robot, parameters), start, lambda t: profile(np.array([t]))[0],
+                          scene, duration, DT, profile)
+        found[name] = motion.times, motion.positions
+    margin = methods['variational'].clearance_margin
+    best = Optimum(robot, start, poses, DT, obstacles, margin).best(
+        [positions for _, positions in found.values()])
+    assert best is not None
+    found['optimum'] = np.linspace(0.0, duration, len(best[1])), best[1]
+    return found
+
+
+def print_table(title: str, robot: Robot, found: dict[str, tuple[Array, Array]]) -> None:
+    """Print the effort, its ratio to the optimum, and the joint path by kind of joint."""
+    table = Table(title=title)
+    for heading in ('method', '∫q̇ᵀq̇ dt', '/ optimum', 'Σ|Δq| prismatic', 'Σ|Δq| revolute'):
+        table.add_column(heading, justify='right')
+    prismatic = np.array([not np.any(np.array(joint.createData().S)[3:])
+                          for joint in list(robot.model.joints)[1:]])
+
+    def effort(name: str) -> float:
+        times, positions = found[name]
+        return float((np.diff(positions, axis=0) ** 2).sum() / (times[1] - times[0]))
+
+    for name, (_, positions) in found.items():
+        path = metrics.joint_path(positions)
+        table.add_row(name, f'{effort(name):.5f}', f'{effort(name) / effort("optimum"):.3f}',
+                      f'{path[prismatic].sum():.4f}', f'{path[~prismatic].sum():.4f}')
+    Console(width=120).print(table)
+
+
+def main() -> None:
+    """Draw both figures and print both tables."""
+    scenario = paper.paper_scenario()
+    robot = paper.paper_robot(scenario)
+    start = scenario.start_posture(robot)
+    arm = robot.kinematics(start)
+    poses = [Pose(arm.tip_position, arm.tip_rotation)]
+    for i in range(round(scenario.duration / DT)):
+        poses.append(integrate(poses[-1], scenario.twist_at(i * DT), DT, 'base'))
+    traditional = replace(paper.methods()['gradient_projection_links'],
+                          clearance_margin=PlannerParameters().clearance_margin)
+    found = compare(robot, start, scenario.preview().at, scenario.duration, scenario.obstacles,
+                    poses, {'traditional': traditional, **_OURS})
+    print_table("The paper's scenario, whole links clear by the default margin", robot, found)
+    columns = [robot.joint_names.index(name) for name in paper.JOINTS]
+    joint_curves(_FOLDER / 'horizon_paper.png', paper.JOINTS, 'displacement [rad, m]',
+                 {name: (_STYLES[name], times, positions[:, columns])
+                  for name, (times, positions) in found.items()},
+                 "The paper's scenario, whole links clear")
+
+    robot = make_robot('panda', 6)
+    task = generate(robot, _PANDA_SEED)
+    found = compare(robot, task.start, task.twist_at, DURATION, task.obstacles,
+                    path_poses(robot, task, DT), {
+                        'traditional': PlannerParameters(
+                            method='gradient_projection', k_fixed=0.02, k_f=0.0), **_OURS})
+    print_table(f'A Panda, scenario {_PANDA_SEED} of the benchmark', robot, found)
+    joint_curves(_FOLDER / 'horizon_panda.png', robot.joint_names, 'displacement [rad]',
+                 {name: (_STYLES[name], *curve) for name, curve in found.items()},
+                 f'A Panda, scenario {_PANDA_SEED} of the benchmark')
+
+
+if __name__ == '__main__':
+    main()
