@@ -1,8 +1,8 @@
 """Performance indices: each function returns a value and its gradient.
 
-Sign convention of the whole package: ∇H points where the arm should go. `clearance_index` is
-to be maximised; `joint_limit_index` and `shortest_path_index` are to be minimised and enter the
-sum of Eq. 18 with a minus sign, in `total_gradient` and nowhere else.
+Sign convention of the whole package: ∇H points where the arm should go. `clearance_index` and
+`manipulability_index` are to be maximised; `joint_limit_index` and `shortest_path_index` are to
+be minimised and enter the sum of Eq. 18 with a minus sign, in `total_gradient` and nowhere else.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.null_space import Decomposition
 from redundant_planner.core.obstacles import pseudo_distance
 
 Array = npt.NDArray[np.float64]
@@ -59,22 +60,37 @@ def clearance_index(
     levels = pseudo_distance(clearance)
     lowest = float(levels.min())
     if np.isfinite(influence_distance):
-        fade = _fade(distance / influence_distance)
-        activation = float(fade.max())
+        share = fade(distance / influence_distance)
+        activation = float(share.max())
         if activation == 0.0:
             return lowest, np.zeros(clearance.shape)
     else:
-        fade, activation = np.ones(clearance.shape), 1.0
+        share, activation = np.ones(clearance.shape), 1.0
     if smoothing > 0.0:
-        weights = fade * np.exp((lowest - levels) / smoothing)
+        weights = share * np.exp((lowest - levels) / smoothing)
         total = float(weights.sum())
         if total > 0.0:
             value = lowest - smoothing * math.log(total)
             return value, weights * (2.0 * activation / total * (clearance + 1.0))
-    nearest = int(np.where(fade > 0.0, levels, np.inf).argmin())
+    nearest = int(np.where(share > 0.0, levels, np.inf).argmin())
     slopes = np.zeros(clearance.shape)
     slopes.flat[nearest] = 2.0 * activation * (clearance.flat[nearest] + 1.0)  # ∂S/∂ρ
     return lowest, slopes
+
+
+def manipulability_index(parts: Decomposition, changes: Array) -> tuple[float, Array]:
+    """Return Yoshikawa's manipulability w = √det(JJᵀ) = Π σ_i and its gradient.
+
+    With σ_i's directions u_i and v_i, ∂σ_i/∂q_k = u_iᵀ (∂J/∂q_k) v_i, so
+    ∂w/∂q_k = Σ_i Π_{j≠i} σ_j · u_iᵀ (∂J/∂q_k) v_i: finite in a singularity, too.
+
+    Args:
+        parts: of the (m, n) Jacobian.
+        changes: (m, n) ∂σ_i/∂q_k.
+    """
+    values = parts.singular_values
+    others = np.array([np.prod(np.delete(values, i)) for i in range(len(values))])
+    return parts.manipulability, others @ changes
 
 
 def shortest_path_index(
@@ -95,18 +111,20 @@ def shortest_path_index(
 
 
 def total_gradient(
-    clearance: Array, joint_limit: Array, shortest_path: Array, *, k_w: float, k_s: float,
-    k_f: float,
+    clearance: Array, joint_limit: Array, shortest_path: Array, manipulability: Array, *,
+    k_w: float, k_s: float, k_f: float, k_m: float,
 ) -> Array:
     """Return ∇H of Eq. 18, (n,), pointing where the arm should go.
 
     Eq. 18 writes k_w ∇H_w + k_s ∇H_s + k_f ∇H_f and leaves the signs to the coefficients; here
-    all three coefficients are positive and the minimised indices are subtracted.
+    all coefficients are positive and the minimised indices are subtracted. k_m is not the
+    paper's.
     """
-    return k_w * clearance - k_s * joint_limit - k_f * shortest_path
+    return (k_w * clearance - k_s * joint_limit - k_f * shortest_path
+            + k_m * manipulability)
 
 
-def _fade(ratio: Array) -> Array:
+def fade(ratio: npt.ArrayLike) -> Array:
     """Return 1 at 0 and below, 0 at 1 and beyond, with level tangents at both ends."""
     x = 1.0 - np.minimum(np.maximum(ratio, 0.0), 1.0)
     return x * x * (3.0 - 2.0 * x)

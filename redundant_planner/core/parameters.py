@@ -137,6 +137,11 @@ class PlannerParameters:
     k_f: float = parameter(
         1.0, low=0.0, runtime=True,
         description='Weight of the shortest-path index H_f in Eq. 18.')
+    k_m: float = parameter(
+        10.0, low=0.0, runtime=True,
+        description='Weight of the manipulability index next to a singularity: nothing at twice '
+                    'singularity_margin, all of it at the margin. With 0 the arm stops in front '
+                    'of singularities that its null space could have gone around.')
     clearance_points: str = parameter(
         'links', choices=CLEARANCE_POINTS,
         description='What Eq. 7 is taken over: whole links, or the joints alone as the paper '

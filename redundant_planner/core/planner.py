@@ -418,8 +418,17 @@ class Planner:
             dual = parts.left @ (gains * gains * (parts.left.T @ task))
             _, shortest_path = indices.shortest_path_index(
                 least_norm, dual, robot.jacobian_derivative_times(arm, self._scaling * least_norm))
+        manipulability: Array = np.zeros(robot.n)
+        nearness = parts.singular_values[-1] / max(p.singularity_margin, 1e-9) - 1.0
+        if p.k_m > 0.0 and nearness < 1.0:
+            changes = np.array([
+                left @ robot.jacobian_derivative_times(arm, self._scaling * right)
+                for left, right in zip(parts.left.T, parts.right)])
+            _, manipulability = indices.manipulability_index(parts, changes)
+            manipulability = indices.fade(nearness) * manipulability
         return indices.total_gradient(
-            clearance, joint_limit, shortest_path, k_w=p.k_w, k_s=p.k_s, k_f=p.k_f)
+            clearance, joint_limit, shortest_path, manipulability, k_w=p.k_w, k_s=p.k_s,
+            k_f=p.k_f, k_m=p.k_m)
 
     def _filtered(
         self, desired: Array, parts: null_space.Decomposition, arm: Kinematics, task: Array,

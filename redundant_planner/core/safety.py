@@ -222,6 +222,12 @@ def safe_velocity(
                    bounds, weights, share=share)
     if found is not None:
         return found
+    # Where nothing but proportional braking is left, the solver may miss it by round-off.
+    braked = share * previous
+    if bool((braked >= low - _TOLERANCE).all() and (braked <= high + _TOLERANCE).all()
+            and (gradient @ braked >= bounds - _TOLERANCE).all()):
+        return Filtered(np.minimum(np.maximum(braked, low), high), 0.0, share, Stage.BRAKING,
+                        _NONE, _NONE)
     if not kept:
         # Speeding up would cost an acceleration limit later: brake, whatever else gives way.
         lower, upper = low, high

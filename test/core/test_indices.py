@@ -106,6 +106,22 @@ def test_shortest_path_index_gradient(robot):
         assert np.linalg.norm(gradient - expected) <= 1e-5 * (1.0 + np.linalg.norm(expected))
 
 
+def manipulability(robot, q):
+    arm = robot.kinematics(q)
+    parts = ns.decompose(arm.jacobian)
+    return indices.manipulability_index(parts, np.array([
+        u @ robot.jacobian_derivative_times(arm, v) for u, v in zip(parts.left.T, parts.right)]))
+
+
+def test_manipulability_index_gradient(robot):
+    for q in random_postures(robot, 20, seed=2):
+        value, gradient = manipulability(robot, q)
+        jacobian = robot.kinematics(q).jacobian
+        assert value == pytest.approx(np.sqrt(np.linalg.det(jacobian @ jacobian.T)), rel=1e-6)
+        expected = central_difference(lambda p: manipulability(robot, p)[0], q)
+        np.testing.assert_allclose(gradient, expected, atol=1e-6 * (1 + np.abs(expected).max()))
+
+
 def test_shortest_path_index_with_joint_weights_and_prismatic_joints(paper_arm):
     # ½‖J̃⁺ẋ‖² with J̃ = J W^−½, as the planner calls it.
     scaling = 1.0 / np.sqrt(np.array([4.0, 9.0, 1.0, 1.0, 2.0, 1.0, 1.0]))
@@ -129,9 +145,10 @@ def test_shortest_path_index_with_joint_weights_and_prismatic_joints(paper_arm):
 
 
 def test_total_gradient_maximises_clearance_and_minimises_the_rest():
-    w, s, f = np.eye(3)
+    w, s, f, m = np.eye(4)
     np.testing.assert_array_equal(
-        indices.total_gradient(w, s, f, k_w=2.0, k_s=3.0, k_f=4.0), [2.0, -3.0, -4.0])
+        indices.total_gradient(w, s, f, m, k_w=2.0, k_s=3.0, k_f=4.0, k_m=5.0),
+        [2.0, -3.0, -4.0, 5.0])
 
 
 @pytest.mark.parametrize('make', [make_panda, make_paper_arm])

@@ -18,7 +18,7 @@ from redundant_planner.core.planner import Planner
 BASE = PlannerParameters(k_s=0.1, damping_threshold=3.0, linear_speed_max=0.2)
 CHANGES = {
     'method': 'gradient_projection', 'k_fixed': 0.5, 'k_alpha': 0.3, 'k_w': 0.1, 'k_s': 1.0,
-    'k_f': 30.0, 'clearance_points': 'joints', 'clearance_smoothing': 5.0,
+    'k_f': 30.0, 'k_m': 1000.0, 'clearance_points': 'joints', 'clearance_smoothing': 5.0,
     'influence_distance': 0.08, 'damping': 1.0, 'damping_threshold': 0.0,
     'joint_weights': (5.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), 'drift_gain': 1.0,
     'drift_distance': 0.001, 'drift_angle': 0.001, 'drift_speed': 0.001,
@@ -53,6 +53,8 @@ def test_every_parameter_has_an_effect(name):
     base = BASE
     if name == 'k_fixed':
         base = replace(base, method='gradient_projection')
+    if name == 'k_m':
+        base = replace(base, singularity_margin=0.5)
     if name.startswith('horizon'):
         base = replace(base, method='variational')
     options = {}

@@ -19,7 +19,7 @@ NOTHING = Scene.of()
 LETTER = {
     'clearance_points': 'joints', 'clearance_smoothing': 0.0, 'influence_distance': np.inf,
     'damping': 0.0, 'damping_threshold': 0.0, 'drift_gain': 0.0, 'safety_filter': False,
-    'clearance_margin': 0.0, 'position_margin': 0.0, 'k_w': 1.0}
+    'clearance_margin': 0.0, 'position_margin': 0.0, 'k_w': 1.0, 'k_m': 0.0}
 
 
 def drive(planner, q, twist, scene=NOTHING, seconds=1.0, dt=DT, ahead=None):

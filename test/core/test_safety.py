@@ -61,6 +61,8 @@ def test_only_speed_gives_way_while_the_arm_speeds_up(seed, m):
 
 @settings(max_examples=60, deadline=None)
 @example(seed=685)
+@example(seed=824)
+@example(seed=1241)
 @given(seed=st.integers(0, 10**6))
 def test_the_arm_always_stops_before_its_limits(seed):
     """From rest, driven anywhere at any speed for a second, then told to stop.
