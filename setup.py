@@ -10,6 +10,8 @@ SHARE = f'share/{PACKAGE}'
 # The real ROS 2 Jazzy as wheels; with ROS sourced, apt has them already.
 JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'rich>=13']
+# For `python -m benchmark.…` alone: what is compared with, and the optimum.
+BENCHMARK = ['casadi', 'mink', 'pin-pink']
 TEST = [
     'colcon-bash', 'colcon-core', 'colcon-package-information', 'colcon-python-setup-py',
     'colcon-ros', 'example-robot-data', 'hypothesis', 'mypy', 'pytest', 'ruff', 'types-PyYAML',
@@ -29,7 +31,7 @@ setup(
     python_requires='>=3.10',
     # pin is Pinocchio on PyPI; apt's ros-jazzy-pinocchio provides the same module.
     install_requires=['setuptools', 'numpy>=1.26', 'pin>=3', 'daqp>=0.5', 'PyYAML>=6'],
-    extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'test': TEST},
+    extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'benchmark': BENCHMARK, 'test': TEST},
     zip_safe=False,
     maintainer='redundant_planner developers',
     maintainer_email='maintainers@example.com',

@@ -11,7 +11,7 @@ from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import AXES
+from redundant_planner.core.robot import AXES, Capsule
 from redundant_planner.core.safety import Stage
 
 DT = 0.004
@@ -167,9 +167,10 @@ def test_too_fast_a_command_is_slowed_in_its_own_direction(panda):
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 10**6), st.floats(-3.0, 300.0), st.integers(0, 8))
+@given(st.integers(0, 10**6), st.floats(-3.0, 300.0),
+       st.sampled_from([0, 1, 2, 3, 5, 8, 30, 300]))
 def test_limits_hold_whatever_comes(seed, magnitude, obstacles):
-    """Random states, absurd commands, obstacles anywhere, some of them inside the arm."""
+    """Random states, absurd commands, links of no length, obstacles anywhere by the hundred."""
     random = np.random.default_rng(seed)
     robot = ARM[seed % len(ARM)]
     scene = Scene.of([
@@ -188,7 +189,10 @@ def test_limits_hold_whatever_comes(seed, magnitude, obstacles):
         assert (q <= robot.position_max + 1e-9).all() and (q >= robot.position_min - 1e-9).all()
 
 
-ARM = [make_paper_arm(), make_panda(), make_planar(), make_panda(command_frame='tool')]
+POINTS = [Capsule(f'point{i}', f'link{i}', np.full(3, 0.05), np.full(3, 0.05), 0.04 * (i % 2))
+          for i in (1, 2, 3)]
+ARM = [make_paper_arm(), make_panda(), make_planar(capsules=POINTS),
+       make_panda(command_frame='tool')]
 
 
 def test_every_tick_can_be_replayed(panda):
@@ -292,7 +296,7 @@ def test_a_resting_arm_evades_what_moves_into_it_and_comes_back(panda, axis, lea
 
 def test_a_strict_arm_does_not_leave_its_path(panda):
     distances, errors, results = sweep(panda, 'strict', [1.0, 0.0, 0.0])
-    # Not by intention, that is: a tick of null-space motion at full joint speed is an arc.
+    # Not by intention, that is: what feedback would take back waits while the arm is pressed.
     assert errors.max() < 3e-3
     assert distances.min() < -0.01  # and is hit
     assert not any(r.stage is Stage.YIELDING for r in results)
