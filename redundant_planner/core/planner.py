@@ -40,6 +40,8 @@ _SINGULARITY_NEAR = 5.0
 _ABSURD = 1e100
 # Steps of the horizon in the very first tick: two surveys, some 50 ms.
 _FIRST_STEPS = 100
+# An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
+_FOUND_INSIDE = 1e-3
 # Over how long the trend of a held command is averaged [s].
 _TREND = 0.1
 _NO_PAIRS = np.empty(0, dtype=np.intp)
@@ -184,7 +186,7 @@ class Planner:
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
         self._previous = np.zeros(self.robot.n)
-        self._followed: Array = np.zeros(self.robot.m)
+        self._path_velocity: Array = np.zeros(self.robot.m)
         self._reference: Pose | None = None
         self._self_known = None
         self._command: Array = np.zeros(6)
@@ -226,11 +228,12 @@ class Planner:
         correction = drift.feedback(error, p.drift_gain, p.drift_speed, p.drift_angular_speed)
         if not command.any() and float(np.abs(error).max()) < _AT_REST:
             correction = np.zeros(6)
-        task = robot.task_rows(command + correction)
+        turning: Array = np.zeros(robot.m)
         if p.drift_gain > 0.0:
             # J turns while the arm moves: half of that belongs to the tick ahead.
-            turning = robot.jacobian_derivative_times(arm, self._previous) @ self._previous
-            task -= 0.5 * dt * turning
+            turning = 0.5 * dt * (
+                robot.jacobian_derivative_times(arm, self._previous) @ self._previous)
+        task = robot.task_rows(command + correction) - turning
 
         # J⁺ẋ, in coordinates in which every joint costs the same.
         parts = null_space.decompose(arm.jacobian * self._scaling)
@@ -260,21 +263,22 @@ class Planner:
         homogeneous = self._scaling * (factor * projected)
         dq = least_norm + homogeneous  # Eq. 1
 
-        scale, stage, reason, coasting = 1.0, safety.Stage.DESIRED, '', self._followed
-        self._followed = arm.jacobian @ dq - task + robot.task_rows(command)
+        scale, stage, reason = 1.0, safety.Stage.DESIRED, ''
+        followed = arm.jacobian @ dq - task + robot.task_rows(command)
         if p.safety_filter:
             result, reason = self._filtered(
-                dq, parts, arm, task, robot.task_rows(command), near, scene, pace, dt)
+                dq, parts, arm, command, correction, turning, near, scene, pace, dt)
             dq, scale, stage = result.dq, result.scale, result.stage
             # What was followed of the path; neither the way back to it nor what was yielded.
-            self._followed = scale * robot.task_rows(command) + result.coast * coasting
+            followed = scale * robot.task_rows(command) + result.coast * self._path_velocity
 
         if fallback:
             reason = '; '.join(filter(None, (
                 'no joint path ahead was found: dynamic_factor steps in', reason)))
         assert self._reference is not None
         self._reference = drift.integrate(
-            self._reference, robot.full_twist(self._followed), dt, robot.command_frame)
+            self._reference, robot.full_twist(followed), dt, robot.command_frame)
+        self._path_velocity = followed
         self._previous = dq
         return StepResult(
             dq.copy(), least_norm, homogeneous, factor, scale, stage, reason, level,
@@ -431,13 +435,14 @@ class Planner:
             k_f=p.k_f, k_m=p.k_m)
 
     def _filtered(
-        self, desired: Array, parts: null_space.Decomposition, arm: Kinematics, task: Array,
-        command: Array, near: _Near, scene: Scene, pace: _Pace, dt: float,
+        self, desired: Array, parts: null_space.Decomposition, arm: Kinematics,
+        command: Array, correction: Array, turning: Array, near: _Near, scene: Scene,
+        pace: _Pace, dt: float,
     ) -> tuple[safety.Filtered, str]:
         """Pass the desired velocity through the safety filter and name what acted."""
         p = self._parameters
         may_yield = p.path_priority == 'yield' and bool(
-            ((near.clearance < 0.0) | (near.rate < 0.0)).any())
+            ((near.distance < -_FOUND_INSIDE) | (near.rate < 0.0)).any())
         own, own_gradient, distance = self._self_clearances(arm, pace)
         singular, reserve = self._singularity(arm, parts)
         still = np.zeros(len(own) + len(reserve))
@@ -446,9 +451,10 @@ class Planner:
             np.concatenate((near.rate, still)),
             np.concatenate((near.clearance, distance, reserve)), soft=len(reserve))
         result = safety.safe_velocity(
-            desired, bool(parts.singular_values[-1] >= p.damping_threshold), arm.jacobian, task,
-            arm.q, self._previous, self._limits, barriers, weights=self._weights,
-            gain=p.barrier_gain, may_yield=may_yield, dt=dt, feedback=task - command)
+            desired, bool(parts.singular_values[-1] >= p.damping_threshold), arm.jacobian,
+            self.robot.task_rows(command + correction), arm.q, self._previous, self._limits,
+            barriers, weights=self._weights, gain=p.barrier_gain, may_yield=may_yield, dt=dt,
+            feedback=self.robot.task_rows(correction), turning=turning)
         return result, self._reason(
             result, bool(command.any()), lambda: self._pair_names(near, own, scene), dt)
 

@@ -177,7 +177,7 @@ def barrier_bounds(barriers: Barriers, gain: float, stop: float, dt: float) -> A
 def safe_velocity(
     desired: Array, exact: bool, jacobian: Array, twist: Array, q: Array, previous: Array,
     limits: Limits, barriers: Barriers, *, weights: Array, gain: float, may_yield: bool,
-    dt: float, feedback: Array | None = None,
+    dt: float, feedback: Array | None = None, turning: Array | None = None,
 ) -> Filtered:
     """Return the admissible joint velocity nearest to the desired one.
 
@@ -195,7 +195,10 @@ def safe_velocity(
         dt: [s].
         feedback: (m,) the part of ẋ that leads back to the path, zero if not given: the arm may
             return where it must not go on.
+        turning: (m,) the tip velocity ½ dt J̇ q̇ that comes of J's turning within the tick, zero if
+            not given: J q̇ is that much less than what the tip shall do, at any speed.
     """
+    turning = np.zeros(len(twist)) if turning is None else turning
     gradient = barriers.gradient
     a = limits.acceleration_max
     stop = stopping_time(previous, a)
@@ -205,21 +208,21 @@ def safe_velocity(
         if exact and bool((desired >= lower).all() and (desired <= upper).all()
                           and (gradient @ desired >= bounds).all()):
             return Filtered(desired, 1.0, 0.0, Stage.DESIRED, _NONE, _NONE)
-        found = _solve(Stage.SCALED, desired, jacobian, twist, None, lower, upper, gradient,
-                       bounds, weights)
+        found = _solve(Stage.SCALED, desired, jacobian, twist, turning, None, lower, upper,
+                       gradient, bounds, weights)
         if found is not None:
             return found
 
     shorter = max(stop - dt, 0.0)
     # r ≤ 1 enters the problem; the share that proportional braking leaves enters here.
     share = shorter / stop if stop > 0.0 else 0.0
-    coasting = share * (jacobian @ previous)
+    coasting = share * (jacobian @ previous) + turning
     low, high, _ = velocity_bounds(q, previous, limits, shorter, dt)
     low, high = (np.minimum(np.maximum(low, -a * shorter), high),
                  np.maximum(np.minimum(high, a * shorter), low))
     bounds = barrier_bounds(barriers, gain, shorter, dt)
-    found = _solve(Stage.BRAKING, desired, jacobian, twist, coasting, low, high, gradient,
-                   bounds, weights, share=share)
+    found = _solve(Stage.BRAKING, desired, jacobian, twist, turning, coasting, low, high,
+                   gradient, bounds, weights, share=share)
     if found is not None:
         return found
     # Where nothing but proportional braking is left, the solver may miss it by round-off.
@@ -234,13 +237,13 @@ def safe_velocity(
     urgent = len(gradient) - barriers.soft
     gradient, bounds = gradient[:urgent], barrier_bounds(barriers, gain, stop + dt, dt)[:urgent]
     if may_yield:
-        found = _solve(Stage.YIELDING, desired, jacobian, twist, coasting, lower, upper,
+        found = _solve(Stage.YIELDING, desired, jacobian, twist, turning, coasting, lower, upper,
                        gradient, bounds, weights, share=share, path_gives_way=True)
         if found is not None:
             return found
     back = np.zeros(len(twist)) if feedback is None else feedback
-    found = _solve(Stage.FORCED, desired, jacobian, back, coasting, lower, upper, gradient,
-                   bounds, weights, share=share, path_gives_way=may_yield)
+    found = _solve(Stage.FORCED, desired, jacobian, back, turning, coasting, lower, upper,
+                   gradient, bounds, weights, share=share, path_gives_way=may_yield)
     if found is not None:
         return found._replace(scale=0.0)
     still = np.minimum(np.maximum(0.0, lower), upper)
@@ -248,14 +251,15 @@ def safe_velocity(
 
 
 def _solve(
-    stage: Stage, desired: Array, jacobian: Array, twist: Array, coasting: Array | None,
-    lower: Array, upper: Array, gradient: Array, bounds: Array, weights: Array, *,
+    stage: Stage, desired: Array, jacobian: Array, twist: Array, turning: Array,
+    coasting: Array | None, lower: Array, upper: Array, gradient: Array, bounds: Array, weights: Array, *,
     share: float = 0.0, path_gives_way: bool = False,
 ) -> Filtered | None:
     """Set up and solve one stage; None where it has no solution.
 
     Variables are (q̇, s), then r where the twist may coast, then the barriers' slack. A path
-    that gives way is a squared price on J q̇ − s ẋ − r J q̇_prev instead of a constraint.
+    that gives way is a squared price on J q̇ + turning − s ẋ − r coasting instead of a
+    constraint.
     """
     n = jacobian.shape[1]
     slack = stage is Stage.FORCED
@@ -276,6 +280,7 @@ def _solve(
         path[:, n + 1] = -coasting
     if path_gives_way:
         hessian += _PRICE_PATH * (path.T @ path)
+        linear += _PRICE_PATH * (path.T @ turning)
         path = path[:0]
     m = len(path)
     rows = m + len(bounds)
@@ -288,7 +293,7 @@ def _solve(
     # Proportional braking alone, r = 1, may be all there is: round-off must not shut it out.
     high[n:size] = 1.0 + 1e-6
     high[n] = 1.0
-    high[size:size + m] = 0.0
+    low[size:size + m] = high[size:size + m] = -turning[:m]
     low[size + m:] = bounds
     if slack:
         linear[-1] = _PRICE_BARRIER

@@ -296,8 +296,7 @@ def test_a_resting_arm_evades_what_moves_into_it_and_comes_back(panda, axis, lea
 
 def test_a_strict_arm_does_not_leave_its_path(panda):
     distances, errors, results = sweep(panda, 'strict', [1.0, 0.0, 0.0])
-    # Not by intention, that is: what feedback would take back waits while the arm is pressed.
-    assert errors.max() < 3e-3
+    assert errors.max() < 1e-3
     assert distances.min() < -0.01  # and is hit
     assert not any(r.stage is Stage.YIELDING for r in results)
 
