@@ -102,7 +102,7 @@ class Judge:
                     continue
                 result = coal.DistanceResult()
                 distance = coal.distance(
-                    shape, coal.Transform3s(_rotation_to(b - a), 0.5 * (a + b)), ellipsoid, at,
+                    shape, coal.Transform3s(rotation_to(b - a), 0.5 * (a + b)), ellipsoid, at,
                     request, result)
                 if distance < best:
                     best, names = float(distance), f'{capsule.name} to {obstacle.name}'
@@ -122,7 +122,7 @@ def _length(capsule: object) -> float:
     return float(np.linalg.norm(capsule.end - capsule.start))  # type: ignore[attr-defined]
 
 
-def _rotation_to(direction: Array) -> Array:
+def rotation_to(direction: Array) -> Array:
     """Return a rotation that takes z to `direction`."""
     size = float(np.linalg.norm(direction))
     if size < 1e-9:

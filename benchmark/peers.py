@@ -21,6 +21,7 @@ from pink.barriers import SelfCollisionBarrier
 from pink.limits import ConfigurationLimit, VelocityLimit
 import pinocchio as pin
 
+from benchmark.judge import rotation_to
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.core.robot import Capsule, Robot
@@ -105,7 +106,7 @@ class Pink:
             joint, start, end = _in_joint(robot, capsule)
             shape = coal.Capsule(max(capsule.radius, 1e-5), max(_distance(start, end), 1e-6))
             links.append(geometry.addGeometryObject(pin.GeometryObject(
-                f'link{i}', joint, pin.SE3(_turned(end - start), 0.5 * (start + end)), shape)))
+                f'link{i}', joint, pin.SE3(rotation_to(end - start), 0.5 * (start + end)), shape)))
         self._obstacle_ids = []
         for i, obstacle in enumerate(obstacles):
             body = geometry.addGeometryObject(pin.GeometryObject(
@@ -190,15 +191,6 @@ def _costs(robot: Robot) -> tuple[list[float], list[float]]:
 
 def _distance(a: Array, b: Array) -> float:
     return float(np.linalg.norm(b - a))
-
-
-def _turned(direction: Array) -> Array:
-    """Return a rotation that takes z to `direction`."""
-    size = float(np.linalg.norm(direction))
-    if size < 1e-9:
-        return np.eye(3)
-    return np.array(pin.Quaternion.FromTwoVectors(
-        np.array([0.0, 0.0, 1.0]), direction / size).matrix())
 
 
 def _text(values: Array) -> str:

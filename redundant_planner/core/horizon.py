@@ -43,8 +43,8 @@ _NEAR = 0.15
 _RESERVE = 0.0005
 # A plan whose poses are further off than this is not worth mending [m, rad].
 _LOST = 0.15
-# A plan this near to its poses and clearances counts as free [m, rad]; a scout must be that much
-# shorter to be followed.
+# A plan this near to its poses and clearances counts as free [m, rad]; what a survey finds must be
+# that much shorter to be followed.
 _ADMISSIBLE = 3e-3
 _SHORTER = 0.9
 # A survey looks so far to either side of the least-norm path, in steps of that size [rad], and

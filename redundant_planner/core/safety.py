@@ -252,8 +252,8 @@ def safe_velocity(
 
 def _solve(
     stage: Stage, desired: Array, jacobian: Array, twist: Array, turning: Array,
-    coasting: Array | None, lower: Array, upper: Array, gradient: Array, bounds: Array, weights: Array, *,
-    share: float = 0.0, path_gives_way: bool = False,
+    coasting: Array | None, lower: Array, upper: Array, gradient: Array, bounds: Array,
+    weights: Array, *, share: float = 0.0, path_gives_way: bool = False,
 ) -> Filtered | None:
     """Set up and solve one stage; None where it has no solution.
 

@@ -1,0 +1,60 @@
+"""The arm that mink and pink get is the same arm (runs where they are installed)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sys
+
+from conftest import MAKERS, random_postures
+import numpy as np
+import pytest
+
+from redundant_planner.core.drift import integrate, Pose
+from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+pytest.importorskip('mink')
+pytest.importorskip('pink')
+mujoco = pytest.importorskip('mujoco')
+from benchmark.peers import Mink, mjcf, Pink  # noqa: E402
+
+
+@pytest.mark.parametrize('name', ['panda', 'paper'])
+def test_tip_and_capsules_are_where_ours_are(name):
+    robot = MAKERS[name]()
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, []))
+    data = mujoco.MjData(model)
+    for q in random_postures(robot, 10):
+        data.qpos = q
+        mujoco.mj_kinematics(model, data)
+        arm = robot.kinematics(q)
+        np.testing.assert_allclose(data.site('tip').xpos, arm.tip_position, atol=1e-9)
+        np.testing.assert_allclose(
+            data.site('tip').xmat.reshape(3, 3), arm.tip_rotation, atol=1e-9)
+        for i in range(len(robot.capsules)):
+            np.testing.assert_allclose(
+                data.geom(f'link{i}').xpos, 0.5 * (arm.segment_start[i] + arm.segment_end[i]),
+                atol=1e-9)
+
+
+@pytest.mark.parametrize('library', [Mink, Pink])
+def test_they_follow_the_path_and_stop_at_the_obstacle(library):
+    robot = MAKERS['panda_position']()
+    q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
+    arm = robot.kinematics(q)
+    ball = Obstacle('ball', arm.tip_position + [0.3, 0.0, -0.1], np.full(3, 0.05))
+    for obstacles in ((), (ball,)):
+        peer = library(robot, obstacles, 0.01)
+        pose, posture, closest = Pose(arm.tip_position, arm.tip_rotation), q, np.inf
+        for _ in range(500):
+            pose = integrate(pose, np.array([0.1, 0, 0, 0, 0, 0]), 0.004, 'base')
+            posture = posture + 0.004 * peer.step(posture, pose, 0.004)
+            now = robot.kinematics(posture)
+            maps = whitening(Scene.of([ball]), [c.radius for c in robot.capsules])
+            closest = min(closest, link_clearance(
+                maps, now.segment_start, now.segment_end).clearance.min())
+        reached = np.linalg.norm(robot.kinematics(posture).tip_position - pose.position)
+        if obstacles:
+            assert closest > 0.0
+        else:
+            assert reached < 1e-4 and closest < 0.0
