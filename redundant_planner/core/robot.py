@@ -233,20 +233,26 @@ class Robot:
         """Return the kinematics at every one of N postures (N, n): N leads every array."""
         count = len(postures)
         columns = np.empty((count, 6, self.n))
-        tip_jacobian, local = np.empty((count, 6, self.n)), np.empty((count, 6, self.n))
-        position, rotation = np.empty((count, 3)), np.empty((count, 3, 3))
         turns, places = np.empty((count, self.n + 1, 3, 3)), np.empty((count, self.n + 1, 3))
-        model, data = self._model, self._data
         for i in range(count):
-            pin.computeJointJacobians(model, data, postures[i])
-            tip = pin.updateFramePlacement(model, data, self._tip_id)
-            position[i], rotation[i], columns[i] = tip.translation, tip.rotation, data.J
-            tip_jacobian[i] = pin.getFrameJacobian(
-                model, data, self._tip_id, pin.LOCAL_WORLD_ALIGNED)
-            if self.command_frame == 'tool':
-                local[i] = pin.getFrameJacobian(model, data, self._tip_id, pin.LOCAL)
+            pin.computeJointJacobians(self._model, self._data, postures[i])
+            columns[i] = self._data.J
             turns[i], places[i] = self._rotations, self._positions
-        jacobian = local if self.command_frame == 'tool' else tip_jacobian
+        tip = self._model.frames[self._tip_id]
+        carrier = turns[:, tip.parentJoint]
+        rotation = carrier @ tip.placement.rotation
+        position = places[:, tip.parentJoint] + carrier @ tip.placement.translation
+        # v = v₀ + w × p = v₀ − p × w of the tip point p.
+        lever = np.zeros((count, 3, 3))
+        for row, column, axis in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            lever[:, row, column] = position[:, axis]
+            lever[:, column, row] = -position[:, axis]
+        tip_jacobian = columns.copy()
+        tip_jacobian[:, :3] += lever @ columns[:, 3:]
+        jacobian = tip_jacobian
+        if self.command_frame == 'tool':
+            jacobian = (rotation.transpose(0, 2, 1)[:, None]
+                        @ tip_jacobian.reshape(count, 2, 3, -1)).reshape(count, 6, -1)
         at = self._capsule_joint
         ends = turns[:, at] @ self._capsule_ends + places[:, at, :, None]
         return Kinematics(postures, columns, position, rotation, tip_jacobian,
