@@ -9,26 +9,21 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
+from benchmark import scenarios
 from benchmark.generator import generate, path_poses
-from benchmark.scenarios import Bench, DT, Outcome, parser_of, print_table
+from benchmark.scenarios import DT, Outcome, parser_of, prepare, print_table
 from redundant_planner.core.parameters import PlannerParameters
 
 METHODS = ('dynamic_factor', 'least_norm_filtered', 'variational_held', 'variational_known')
-
-_bench: Bench
-
-
-def _prepare(*arguments: Any) -> None:
-    global _bench
-    _bench = Bench(*arguments)
 
 
 def _run(seed: int) -> tuple[dict[str, Outcome], float | None]:
     """Return what the methods came to and the optimum's ∫ q̇ᵀq̇ dt, None if none was found."""
     from benchmark.optimum import Optimum
-    outcomes = _bench(seed)
+    bench = scenarios.bench
+    outcomes = bench(seed)
     completed = [o.postures for o in outcomes.values() if o.tracked]
-    robot, task = _bench.robot, generate(_bench.robot, seed)
+    robot, task = bench.robot, generate(bench.robot, seed)
     best = Optimum(robot, task.start, path_poses(robot, task, DT), DT, task.obstacles,
                    PlannerParameters().clearance_margin).best(completed)
     return outcomes, None if best is None else best[0]
@@ -54,7 +49,7 @@ def main() -> None:
     options = parser_of(__doc__).parse_args()
     names = list(METHODS)
     seeds = range(options.seed, options.seed + options.count)
-    with Pool(options.jobs, _prepare, (options.robot, options.axes, names, False)) as pool:
+    with Pool(options.jobs, prepare, (options.robot, options.axes, names, False)) as pool:
         found = list(track(pool.imap(_run, seeds), 'scenarios', total=options.count))
     result = {name: summarise(found, name) for name in names}
     # The name that others look for: nobody runs the least-norm motion without a filter.

@@ -200,16 +200,17 @@ class Bench:
         return {name: run(task) for name, run in self._methods.items()}
 
 
-_bench: Bench
+bench: Bench
 
 
-def _prepare(*arguments: Any) -> None:
-    global _bench
-    _bench = Bench(*arguments)
+def prepare(*arguments: Any) -> None:
+    """Make the `bench` of a worker process."""
+    global bench
+    bench = Bench(*arguments)
 
 
 def _run(seed: int) -> dict[str, Outcome]:
-    return _bench(seed)
+    return bench(seed)
 
 
 def parser_of(description: str | None) -> argparse.ArgumentParser:
@@ -249,7 +250,7 @@ def main() -> None:
     arguments = (
         options.robot, options.axes, options.method or list(METHODS), options.moving)
     seeds = range(options.seed, options.seed + options.count)
-    with Pool(options.jobs, _prepare, arguments) as pool:
+    with Pool(options.jobs, prepare, arguments) as pool:
         outcomes = list(track(pool.imap(_run, seeds), 'scenarios', total=options.count))
     result = {name: summarise([found[name] for found in outcomes]) for name in outcomes[0]}
     print_table(f'{options.robot}, {options.axes} axes, {options.count} '

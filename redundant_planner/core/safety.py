@@ -33,7 +33,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-# Price of the whole twist in units of ½‖q̇_des‖²: null-space motion may be √50 times as fast as
+# Price of the whole twist in units of ½‖q̇_des‖²: null-space motion may be √200 times as fast as
 # the desired motion before the twist slows down for it. Dearer, and the arm whips around.
 _PRICE_SCALE = 100.0
 # Prices per unit, each large enough to be paid only when nothing cheaper helps; the squared
