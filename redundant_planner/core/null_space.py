@@ -61,6 +61,8 @@ def inverse_gains(singular_values: Array, threshold: float, damping: float) -> A
     """
     squared: Array | float = 0.0
     if threshold > 0.0:
+        if singular_values.ndim == 1 and singular_values[-1] >= threshold:
+            return 1.0 / singular_values  # the usual case: neither damped nor without gain
         share = np.minimum(singular_values[..., -1:] / threshold, 1.0)
         squared = damping * damping * (1.0 - share * share)
     denominator = singular_values * singular_values + squared

@@ -178,6 +178,7 @@ class Planner:
             Horizon(robot, node_times(duration, parameters.horizon_nodes), self._scaling,
                     robot.position_min + margin, robot.position_max - margin)
             for duration in (parameters.horizon, parameters.horizon_held))
+        self._horizon: Horizon | None = None
         self._limits = safety.Limits(
             np.array((robot.position_max - margin, robot.position_min + margin)),
             robot.velocity_max, robot.acceleration_max)
@@ -191,8 +192,7 @@ class Planner:
         self._self_known = None
         self._command: Array = np.zeros(6)
         self._growth = 0.0
-        for horizon in self._horizons:
-            horizon.reset()
+        self._horizon = None
 
     @property
     def reference(self) -> Pose | None:
@@ -231,8 +231,7 @@ class Planner:
         turning: Array = np.zeros(robot.m)
         if p.drift_gain > 0.0:
             # J turns while the arm moves: half of that belongs to the tick ahead.
-            turning = 0.5 * dt * (
-                robot.jacobian_derivative_times(arm, self._previous) @ self._previous)
+            turning = 0.5 * dt * robot.jacobian_rate_times(arm, self._previous)
         task = robot.task_rows(command + correction) - turning
 
         # J⁺ẋ, in coordinates in which every joint costs the same.
@@ -334,9 +333,10 @@ class Planner:
             return np.zeros(self.robot.n)
         growth = self._growth_of(command, dt)
         assert self._reference is not None
-        known, held = self._horizons
-        horizon, other = (held, known) if ahead is None else (known, held)
-        other.reset()
+        horizon = self._horizons[ahead is None]
+        if horizon is not self._horizon:
+            self._horizon = horizon
+            horizon.reset()
 
         def twist_ahead(times: Array) -> Array:
             if ahead is None:

@@ -279,6 +279,22 @@ class Robot:
             columns[3:] -= pin.skew(twist[3:]) @ axes
         return columns[self._rows]
 
+    def jacobian_rate_times(self, arm: Kinematics, dq: Array) -> Array:
+        """Return J̇ q̇ (m,): how the tip's velocity changes while the joints' stays what it is.
+
+        Args:
+            arm: the posture.
+            dq: (n,) q̇.
+        """
+        model, data, tip = self._model, self._data, self._tip_id
+        pin.forwardKinematics(model, data, arm.q, dq, self._no_acceleration)
+        if self.command_frame == 'tool':
+            acceleration = pin.getFrameAcceleration(model, data, tip, pin.LOCAL)
+        else:
+            acceleration = pin.getFrameClassicalAcceleration(
+                model, data, tip, pin.LOCAL_WORLD_ALIGNED)
+        return acceleration.vector[self._rows]
+
     def joint_points(self, q: npt.ArrayLike) -> Array:
         """Return the joint origins, then the tip, (n + 1, 3): the X_i of Eq. 7 [m].
 
@@ -358,6 +374,7 @@ class Robot:
         self._capsule_ends = np.array(ends).reshape(-1, 3, 2)
         self.moves = _read_only(
             (np.arange(self.n) < self._capsule_joint[:, None]).astype(float))
+
     def _levers(self) -> Array:
         """Bound the distance of any capsule point from each joint by the lengths after it."""
         revolute = np.array([joint.shortname().startswith('JointModelR')

@@ -34,3 +34,13 @@ def test_product_is_the_tensor_times_dq(robot):
             rows = robot.task_rows(np.arange(6)).astype(int)
             np.testing.assert_allclose(
                 robot.jacobian_derivative_times(arm, dq), expected[rows], atol=1e-12)
+
+
+def test_the_rate_is_the_product_along_the_motion(robot):
+    random = np.random.default_rng(3)
+    for q in random_postures(robot, 20):
+        dq = random.normal(size=robot.n)
+        arm = robot.kinematics(q)
+        np.testing.assert_allclose(
+            robot.jacobian_rate_times(arm, dq),
+            robot.jacobian_derivative_times(arm, dq) @ dq, atol=1e-12)
