@@ -30,7 +30,8 @@ setup(
     ],
     python_requires='>=3.10',
     # pin is Pinocchio on PyPI; apt's ros-jazzy-pinocchio provides the same module.
-    install_requires=['setuptools', 'numpy>=1.26', 'pin>=3', 'daqp>=0.5', 'PyYAML>=6'],
+    install_requires=['setuptools', 'numpy>=1.26', 'scipy>=1.8', 'pin>=3', 'daqp>=0.5',
+                      'PyYAML>=6'],
     extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'benchmark': BENCHMARK, 'test': TEST},
     zip_safe=False,
     maintainer='redundant_planner developers',

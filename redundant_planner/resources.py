@@ -27,7 +27,8 @@ def resolve(location: str, relative_to: Path | None = None) -> Path:
     """Return the file that a location names.
 
     Args:
-        location: a path, `file://` path or `package://name/path`.
+        location: a path, `file://` path or `package://name/path`; the package may be one that
+            `relative_to` lies in, or one that is installed.
         relative_to: folder for relative paths; the working directory if not given.
 
     Raises:
@@ -35,7 +36,7 @@ def resolve(location: str, relative_to: Path | None = None) -> Path:
     """
     if location.startswith('package://'):
         package, _, rest = location[len('package://'):].partition('/')
-        path = _package_share(package) / rest
+        path = _beside(package, rest, relative_to) or _package_share(package) / rest
     else:
         path = Path(location.removeprefix('file://')).expanduser()
         if not path.is_absolute() and relative_to is not None:
@@ -44,6 +45,14 @@ def resolve(location: str, relative_to: Path | None = None) -> Path:
         raise PlannerError(f"'{location}' is not a file" + (
             f" (looked at '{path}')" if str(path) != location else ''))
     return path
+
+
+def _beside(package: str, rest: str, folder: Path | None) -> Path | None:
+    """Return a package's file if the folder lies in that package, installed or not."""
+    for above in (folder, *folder.parents) if folder is not None else ():
+        if above.name == package and (above / rest).is_file():
+            return above / rest
+    return None
 
 
 def _package_share(package: str) -> Path:

@@ -5,7 +5,7 @@ The same file serves the nodes (`--params-file`) and everything offline.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from redundant_planner.core.errors import known, ParameterError
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.core.parameters import check, parameter
 from redundant_planner.core.robot import AXES, Capsule, COMMAND_FRAMES, Robot
+from redundant_planner.link_shapes import fitted_capsules
 from redundant_planner.resources import resolve
 
 
@@ -57,10 +58,14 @@ class RobotParameters:
         (5.0,), low=1e-6, unit='rad/s², m/s²',
         description='Largest joint acceleration: one value, or one per joint. Higher than the '
                     'drives can follow, and the arm overshoots limits and clearances.')
+    link_shapes: str = parameter(
+        'fitted', choices=('fitted', 'straight'),
+        description="Where no capsules are listed: fitted around the URDF's collision geometry "
+                    '(show_robot shows them), or straight from joint to joint with link_radius.')
     link_radius: float = parameter(
         0.0, low=0.0, high=1.0, unit='m',
-        description='Radius of the straight capsules between joint origins that stand for the '
-                    'links where no capsules are given.')
+        description='Radius of straight link shapes. Too small, and the arm touches what it '
+                    'should not.')
     capsules: tuple[str, ...] = parameter(
         (), description='Names of the link shapes; each has the parameters '
                         'capsule.NAME.frame, .start, .end and .radius.')
@@ -74,8 +79,24 @@ class RobotParameters:
                 f"takes {len(self.locked_joints)}, one per name in 'locked_joints'")
 
 
+def urdf_text(parameters: RobotParameters, folder: Path | None = None) -> str:
+    """Return the URDF that the parameters name or hold; empty if they do neither.
+
+    Args:
+        parameters: from a node or a file.
+        folder: for a relative path; the working directory if None.
+
+    Raises:
+        PlannerError: there is no such file.
+    """
+    if parameters.urdf:
+        return resolve(parameters.urdf, folder).read_text()
+    return parameters.robot_description
+
+
 def build_robot(
-    parameters: RobotParameters, urdf: str, capsules: Mapping[str, Mapping[str, Any]],
+    parameters: RobotParameters, urdf: str, capsules: Mapping[str, Mapping[str, Any]], *,
+    folder: Path | None = None, say: Callable[[str], object] | None = None,
 ) -> Robot:
     """Return the robot that parameters, URDF text and capsule entries describe.
 
@@ -83,6 +104,8 @@ def build_robot(
         parameters: from a node or a file.
         urdf: the URDF's text.
         capsules: name → {frame, start, end, radius}.
+        folder: that a relative `parameters.urdf` refers to.
+        say: takes a sentence before something that lasts some seconds.
 
     Raises:
         RobotError, ObstacleError, ParameterError: with what is wrong.
@@ -91,13 +114,27 @@ def build_robot(
     if not p.tip_frame:
         raise ParameterError("parameter 'tip_frame' is empty; name the URDF link that is the "
                              'end effector')
-    return Robot(
-        urdf, p.tip_frame, base_frame=p.base_frame,
-        locked_positions=dict(zip(p.locked_joints, p.locked_positions)),
-        axes=p.axes, command_frame=p.command_frame,
-        velocity_max=p.velocity_max or None, acceleration_max=p.acceleration_max,
-        capsules=[_capsule(name, capsules.get(name, {})) for name in p.capsules] or None,
-        link_radius=p.link_radius)
+
+    def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
+        return Robot(
+            urdf, p.tip_frame, base_frame=p.base_frame,
+            locked_positions=dict(zip(p.locked_joints, p.locked_positions)),
+            axes=p.axes, command_frame=p.command_frame, velocity_max=p.velocity_max or None,
+            acceleration_max=p.acceleration_max, capsules=shapes, link_radius=p.link_radius)
+
+    if p.capsules:
+        return robot_with([_capsule(name, capsules.get(name, {})) for name in p.capsules])
+    if p.link_shapes == 'straight':
+        return robot_with(None)
+    if say is not None:
+        say("fitting capsules to the URDF's collision geometry, once for all starts to come")
+    fits = fitted_capsules(robot_with([]), urdf_folder(p, folder))
+    return robot_with([capsule for fit in fits for capsule in fit.capsules])
+
+
+def urdf_folder(parameters: RobotParameters, folder: Path | None = None) -> Path | None:
+    """Return the folder of the URDF file, for meshes relative to it; None without a file."""
+    return resolve(parameters.urdf, folder).parent if parameters.urdf else None
 
 
 def load_robot(path: Path, **changes: Any) -> Robot:
@@ -110,16 +147,24 @@ def load_robot(path: Path, **changes: Any) -> Robot:
     Raises:
         PlannerError: the file is unusable, with what is wrong.
     """
-    values = read_parameter_file(path)
-    names = {entry.name for entry in fields(RobotParameters)}
-    parameters = replace(
-        RobotParameters(**{k: v for k, v in values.items() if k in names}), **changes)
-    urdf = parameters.robot_description
-    if parameters.urdf:
-        urdf = resolve(parameters.urdf, path.parent).read_text()
+    parameters, capsules = read_robot_parameters(path)
+    parameters = replace(parameters, **changes)
+    urdf = urdf_text(parameters, path.parent)
     if not urdf:
         raise ParameterError(f"'{path}' gives no robot: set 'urdf'")
-    return build_robot(parameters, urdf, values.get('capsule', {}))
+    return build_robot(parameters, urdf, capsules, folder=path.parent)
+
+
+def read_robot_parameters(path: Path) -> tuple[RobotParameters, dict[str, dict[str, Any]]]:
+    """Return a parameter file's robot parameters and capsule entries.
+
+    Raises:
+        ParameterError: the file is unusable, with what is wrong.
+    """
+    values = read_parameter_file(path)
+    names = {entry.name for entry in fields(RobotParameters)}
+    return (RobotParameters(**{k: v for k, v in values.items() if k in names}),
+            values.get('capsule', {}))
 
 
 def read_parameter_file(path: Path) -> dict[str, Any]:

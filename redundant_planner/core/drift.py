@@ -50,6 +50,11 @@ def integrate(pose: Pose, twist: Array, dt: float, command_frame: str) -> Pose:
     return Pose(pose.position + twist[:3] * dt, rotation)
 
 
+def turned(twist: Array, rotation: Array) -> Array:
+    """Return a twist (6,) in the axes that `rotation` (3, 3) takes its own to."""
+    return np.concatenate((rotation @ twist[:3], rotation @ twist[3:]))
+
+
 def pose_error(reference: Pose, actual: Pose, command_frame: str) -> Array:
     """Return the displacement (6,) [m, rad] from `actual` to `reference`, in command axes.
 

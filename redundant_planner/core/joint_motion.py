@@ -29,9 +29,19 @@ class PositionCommand:
         """Start from the measured posture at the next advance."""
         self._q = None
 
-    def advance(self, measured: Array, dq: Array, dt: float) -> Array:
-        """Return the positions (n,) to command for velocities `dq` held for `dt`."""
-        if self._q is None or np.abs(self._q - measured).max() > self._tolerance:
+    def advance(
+        self, measured: Array, dq: Array, dt: float, *, known: bool = True,
+    ) -> Array:
+        """Return the positions (n,) to command for velocities `dq` held for `dt`.
+
+        Args:
+            measured: (n,) where the arm is [rad, m],
+            known: or where it was when it was last heard of.
+            dq: (n,) [rad/s, m/s].
+            dt: [s].
+        """
+        if self._q is None or (
+                known and np.abs(self._q - measured).max() > self._tolerance):
             self._q = measured
         inside = np.minimum(np.maximum(self._q + dq * dt, self._min), self._max)
         # An arm found outside its range is not pulled: only its velocity command moves it.

@@ -75,11 +75,16 @@ class Obstacle:
     @property
     def rotation(self) -> Array:
         """(3, 3) ellipsoid axes in the base frame."""
-        x, y, z, w = self.orientation
-        return np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
+        return rotations(self.orientation)
+
+
+def rotations(quaternions: Array) -> Array:
+    """Return the rotation matrices (..., 3, 3) of unit quaternions (..., 4), x y z w."""
+    x, y, z, w = np.moveaxis(quaternions, -1, 0)
+    rows = (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+            2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+            2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y))
+    return np.stack(rows, axis=-1).reshape(*quaternions.shape[:-1], 3, 3)
 
 
 @dataclass(frozen=True)
@@ -212,6 +217,26 @@ def link_clearance(
     nearest = first + parameter[..., None, :] * along
     clearance = np.sqrt((nearest * nearest).sum(axis=-2)) - 1.0
     return Pairs(nearest, clearance, clearance * maps.smallest, parameter)
+
+
+def surface_point(scene: Scene, obstacle: int, start: Array, end: Array) -> tuple[Array, Array]:
+    """Return a segment's point of smallest ρ and, towards the centre, the ellipsoid's surface.
+
+    Args:
+        scene: the obstacles.
+        obstacle: which.
+        start, end: (3,) of the segment [m].
+
+    Returns:
+        (3,) and (3,): x and c + (x − c) / (ρ + 1) [m].
+    """
+    one = slice(obstacle, obstacle + 1)
+    maps = whitening(Scene(scene.names[one], scene.centers[one], scene.rotations[one],
+                           scene.semi_axes[one], scene.velocities[one]), np.zeros(1))
+    pairs = link_clearance(maps, start[None], end[None])
+    point = start + float(pairs.parameter[0, 0]) * (end - start)
+    center = scene.centers[obstacle]
+    return point, center + (point - center) / max(float(pairs.clearance[0, 0]) + 1.0, 1e-9)
 
 
 def pseudo_distance(clearance: Array) -> Array:

@@ -196,11 +196,13 @@ class PlannerParameters:
         0.5, low=0.0, high=3.0, unit='rad', runtime=True,
         description='Larger orientation errors are forgotten, as drift_distance.')
     linear_speed_max: float = parameter(
-        1.0, low=1e-3, high=100.0, unit='m/s', runtime=True,
-        description='A faster commanded twist is slowed to this, its direction kept.')
+        1.0, low=0.0, high=100.0, unit='m/s', runtime=True,
+        description='A faster commanded twist is slowed to this, its direction kept; 0 stops '
+                    'every motion.')
     angular_speed_max: float = parameter(
-        2.0, low=1e-3, high=100.0, unit='rad/s', runtime=True,
-        description='A faster commanded rotation is slowed to this, the direction kept.')
+        2.0, low=0.0, high=100.0, unit='rad/s', runtime=True,
+        description='A faster commanded rotation is slowed to this, the direction kept; 0 stops '
+                    'every motion that turns.')
     safety_filter: bool = parameter(
         True,
         description='Enforce limits and clearance on every tick. Off only to reproduce the '

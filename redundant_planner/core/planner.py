@@ -38,6 +38,8 @@ _AT_REST = 1e-5
 _SINGULARITY_NEAR = 5.0
 # Entries of a twist beyond this are cut back before anything is computed with them.
 _ABSURD = 1e100
+# A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
+_STANDSTILL = 1e-12
 # Steps of the horizon in the very first tick: two surveys, some 50 ms.
 _FIRST_STEPS = 100
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
@@ -199,6 +201,12 @@ class Planner:
         """Where the tip should be now; None before the first tick after a reset."""
         return self._reference
 
+    def prepare(self, scene: Scene) -> None:
+        """Do what a scene new to `step` costs ahead of it, where there is time for that."""
+        if self._maps_of is None or self._maps_of[0] is not scene:
+            self._maps_of = scene, whitening(
+                scene, self._radii + self._parameters.clearance_margin)
+
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
     ) -> StepResult:
@@ -300,8 +308,9 @@ class Planner:
         excess = max(abs(vx), abs(vy), abs(vz), abs(wx), abs(wy), abs(wz)) / _ABSURD
         if excess > 1.0:
             return self._checked_command(command / excess, dt)
-        return command / max(math.hypot(vx, vy, vz) / linear_max,
-                             math.hypot(wx, wy, wz) / angular_max, 1.0)
+        # A limit of 0 lets nothing pass.
+        return command / max(math.hypot(vx, vy, vz) / max(linear_max, _STANDSTILL),
+                             math.hypot(wx, wy, wz) / max(angular_max, _STANDSTILL), 1.0)
 
     def _path_error(self, pose: Pose) -> Array:
         """Return the error against the reference, nothing on axes that are not controlled.
@@ -361,9 +370,8 @@ class Planner:
 
     def _clearances(self, arm: Kinematics, scene: Scene) -> tuple[Whitening, Pairs]:
         """Return every link × every obstacle; links carry the clearance margin."""
-        if self._maps_of is None or self._maps_of[0] is not scene:
-            self._maps_of = scene, whitening(
-                scene, self._radii + self._parameters.clearance_margin)
+        self.prepare(scene)
+        assert self._maps_of is not None
         maps = self._maps_of[1]
         return maps, link_clearance(maps, arm.segment_start, arm.segment_end)
 

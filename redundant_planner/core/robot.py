@@ -167,7 +167,7 @@ class Robot:
             'velocity_max', self._model.velocityLimit if velocity_max is None else velocity_max)
         self.acceleration_max = self._limits('acceleration_max', acceleration_max)
 
-        self._tip_id = self._model.getFrameId(tip_frame)
+        self._tip_id = _link_id(self._model, tip_frame)
         self._rows = np.array([AXES.index(axis) for axis in self.axes])
         self._no_acceleration = np.zeros(self.n)
         self._rotations, self._positions = _placements(self._data)
@@ -186,6 +186,21 @@ class Robot:
     def m(self) -> int:
         """Number of controlled axes."""
         return len(self.axes)
+
+    @property
+    def moving_links(self) -> dict[str, str]:
+        """The links that chain joints move → the joint that carries each."""
+        model = self._model
+        return {frame.name: model.names[frame.parentJoint] for frame in model.frames
+                if frame.type == pin.FrameType.BODY and frame.parentJoint > 0}
+
+    def in_link(self, target: str, source: str, points: Array) -> Array:
+        """Return points (k, 3) given in one link's frame in another's on the same joint [m]."""
+        model = self._model
+        there, here = (model.frames[_link_id(model, name)].placement
+                       for name in (target, source))
+        change = there.inverse() * here
+        return points @ change.rotation.T + change.translation
 
     @property
     def model(self) -> pin.Model:
@@ -366,7 +381,7 @@ class Robot:
                 raise RobotError(
                     f"capsule '{capsule.name}': the robot has no frame '{capsule.frame}'; "
                     f'it has {known(_links(self._model))}')
-            frame = self._model.frames[self._model.getFrameId(capsule.frame)]
+            frame = self._model.frames[_link_id(self._model, capsule.frame)]
             joints.append(frame.parentJoint)
             ends.append(np.column_stack(
                 [frame.placement.act(np.array(end)) for end in (capsule.start, capsule.end)]))
@@ -402,6 +417,8 @@ class Robot:
         joints apart that never come near each other.
         """
         links = np.transpose(np.triu_indices(len(self.capsules), 1))
+        if not len(links):
+            return links
         between = np.abs(np.diff(self._capsule_joint[links], axis=1))[:, 0]
         radii = np.array([c.radius for c in self.capsules])
         low = np.where(np.isfinite(self.position_min), self.position_min, -np.pi)
@@ -472,6 +489,13 @@ def _links(model: pin.Model) -> list[str]:
     return [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
 
 
+def _link_id(model: pin.Model, link: str) -> int:
+    """Return the frame of a link, which a joint may share its name with, or else any frame."""
+    if model.existFrame(link, pin.FrameType.BODY):
+        return int(model.getFrameId(link, pin.FrameType.BODY))
+    return int(model.getFrameId(link))
+
+
 def _root_link(model: pin.Model) -> str:
     return _links(model)[0]
 
@@ -481,7 +505,7 @@ def _reduce_to_chain(
 ) -> pin.Model:
     """Lock every joint outside base → tip and make the base frame Pinocchio's world."""
     for role, frame in (('base_frame', base_frame), ('tip_frame', tip_frame)):
-        if not model.existFrame(frame):
+        if not model.existFrame(frame, pin.FrameType.BODY):
             raise RobotError(
                 f"{role} '{frame}' is not in the URDF; it has {known(_links(model))}")
     for name, position in locked_positions.items():
@@ -493,8 +517,8 @@ def _reduce_to_chain(
             raise RobotError(f"locked joint '{name}' is held at {position}; "
                              'it must be a finite number [rad, m]')
 
-    tip_joint = model.frames[model.getFrameId(tip_frame)].parentJoint
-    base_joint = model.frames[model.getFrameId(base_frame)].parentJoint
+    tip_joint = model.frames[_link_id(model, tip_frame)].parentJoint
+    base_joint = model.frames[_link_id(model, base_frame)].parentJoint
     tip_support = list(model.supports[tip_joint])
     base_support = list(model.supports[base_joint])
     if tip_support[:len(base_support)] != base_support:
@@ -515,7 +539,7 @@ def _reduce_to_chain(
 
     data = reduced.createData()
     pin.framesForwardKinematics(reduced, data, pin.neutral(reduced))
-    world_in_base = data.oMf[reduced.getFrameId(base_frame)].inverse()
+    world_in_base = data.oMf[_link_id(reduced, base_frame)].inverse()
     for i in range(1, reduced.njoints):
         if reduced.parents[i] == 0:
             reduced.jointPlacements[i] = world_in_base * reduced.jointPlacements[i]

@@ -121,6 +121,15 @@ def stopping_time(dq: Array, acceleration_max: Array) -> float:
     return float((np.abs(dq) / acceleration_max).max())
 
 
+def braked(dq: Array, acceleration_max: Array, dt: float) -> Array:
+    """Return the velocity (n,) a tick later when all joints slow down in proportion.
+
+    The way to rest that every stage of the filter keeps open (docs/safety.md).
+    """
+    stop = stopping_time(dq, acceleration_max)
+    return dq * (1.0 - dt / stop) if stop > dt else np.zeros_like(dq)
+
+
 def velocity_bounds(
     q: Array, previous: Array, limits: Limits, stop: float, dt: float,
 ) -> tuple[Array, Array, bool]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Twist
 import numpy as np
 import numpy.typing as npt
@@ -11,13 +12,18 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
-from redundant_planner.core.errors import known, ObstacleError, StateError
+from redundant_planner.core.errors import known, StateError
 from redundant_planner.core.horizon import Preview
 from redundant_planner.core.obstacles import Obstacle
 
 Array = npt.NDArray[np.float64]
 
 NANOSECONDS = 1_000_000_000
+
+
+def seconds_of(stamp: Time | Duration) -> float:
+    """Return a stamp or duration in seconds."""
+    return float(stamp.sec + stamp.nanosec / NANOSECONDS)
 
 
 def twist_from_message(message: Twist) -> Array:
@@ -52,8 +58,7 @@ def preview_from_message(message: MultiDOFJointTrajectory) -> Preview:
         if len(point.velocities) != 1:
             raise StateError(f'point {i} of the preview has {len(point.velocities)} velocities; '
                              'it takes one, of the tip')
-    times = [p.time_from_start.sec + p.time_from_start.nanosec / NANOSECONDS
-             for p in message.points]
+    times = [seconds_of(point.time_from_start) for point in message.points]
     twists = [twist_from_message(p.velocities[0]) for p in message.points]
     return Preview(np.array(times), np.array(twists).reshape(-1, 6))
 
@@ -104,36 +109,6 @@ def _values_of(
         name = joint_names[int(np.argmin(np.isfinite(result)))]
         raise StateError(f"{field} of joint '{name}' is {values[index[name]]}")
     return result
-
-
-def obstacle_key(marker: Marker) -> str:
-    """Return the identity of a marker as people read it: its namespace and number."""
-    return f'{marker.ns}/{marker.id}' if marker.ns else str(marker.id)
-
-
-def obstacle_from_marker(marker: Marker, frames: Sequence[str]) -> Obstacle:
-    """Return the ellipsoid of a SPHERE marker: its scale holds the full axes.
-
-    Args:
-        marker: to convert.
-        frames: names the base frame goes by.
-
-    Raises:
-        ObstacleError: another shape or frame, or numbers that are no ellipsoid.
-    """
-    name = obstacle_key(marker)
-    if marker.type != Marker.SPHERE:
-        raise ObstacleError(f"obstacle '{name}' is a marker of type {marker.type}; "
-                            f'it must be SPHERE ({Marker.SPHERE})')
-    if marker.header.frame_id not in frames:
-        raise ObstacleError(f"obstacle '{name}' is given in frame "
-                            f"'{marker.header.frame_id}'; it must be in {known(frames)}")
-    position, quaternion, scale = marker.pose.position, marker.pose.orientation, marker.scale
-    return Obstacle(
-        name,
-        center=np.array([position.x, position.y, position.z]),
-        semi_axes=0.5 * np.array([scale.x, scale.y, scale.z]),
-        orientation=np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w]))
 
 
 def markers_of(obstacles: Sequence[Obstacle], frame: str) -> MarkerArray:

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import time
+from typing import Any
 
-from geometry_msgs.msg import Twist
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist, TwistStamped
 import numpy as np
 import numpy.typing as npt
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
-from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from redundant_planner.core import drift
 from redundant_planner.core.errors import PlannerError, StateError
-from redundant_planner.core.horizon import Preview, TwistAhead
 from redundant_planner.core.joint_motion import has_jumped, PositionCommand
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.planner import Planner, StepResult
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import Robot
+from redundant_planner.core.safety import braked
 from redundant_planner.nodes import messages, process
+from redundant_planner.nodes.command_input import CommandInput, sender_names
+from redundant_planner.nodes.command_output import CommandOutput
 from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 from redundant_planner.nodes.ros_parameters import (
@@ -31,22 +36,31 @@ from redundant_planner.nodes.ros_parameters import (
     on_change,
     PlannerNodeParameters,
 )
-from redundant_planner.resources import resolve
-from redundant_planner.robot_parameters import build_robot, obstacle_of, RobotParameters
+from redundant_planner.nodes.state_report import diagnostics, LoopState, RobotMarkers, status_of
+from redundant_planner.nodes.transforms import transform_lookup
+from redundant_planner.robot_parameters import build_robot, obstacle_of, RobotParameters, urdf_text
 
 Array = npt.NDArray[np.float64]
 
 # Warnings that a stream of bad messages would repeat are said this often at most [s].
 _WARN_PERIOD = 1.0
+_KINDS = 100
 # The stop at the end: how often it is said, with what pauses [s], and how long an
 # acknowledgement may take [s].
 _LAST_WORDS = 3
 _PAUSE = 0.01
 _ACKNOWLEDGED = 0.3
+# How often the node looks for rivals on its topics [s].
+_LOOK_AROUND = 0.5
+# A tick that comes this much after the one before it must not go on where that left off [s].
+_GAP = 1.0
 
 
 class PlannerNode(process.EndableNode):
-    """Runs `Planner.step` on the latest inputs at a fixed rate."""
+    """Runs `Planner.step` on the latest inputs at a fixed rate.
+
+    Whatever is not needed for the command of a tick is done after that command is out.
+    """
 
     def __init__(self) -> None:
         """Read all parameters; the loop starts once the robot is known.
@@ -61,57 +75,69 @@ class PlannerNode(process.EndableNode):
         self._capsules = declare_entries(
             self, 'capsule', self._robot_parameters.capsules,
             {'frame': 'text', 'start': 3, 'end': 3, 'radius': 1})
-        static = declare_entries(
+        self._static = declare_entries(
             self, 'static_obstacle', self._settings.static_obstacles,
-            {'center': 3, 'semi_axes': 3, 'orientation': 4})
-        self._static = [obstacle_of(name, entry) for name, entry in static.items()]
+            {'center': 3, 'semi_axes': 3, 'orientation': 4}, runtime=True)
+        static = [obstacle_of(name, entry) for name, entry in self._static.items()]
 
+        self._loop_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        if self.get_parameter('use_sim_time').value:
+            self._loop_clock = self.get_clock()
         self._planner: Planner | None = None
+        self._state = LoopState()
         self._q: Array | None = None
-        self._q_time = 0.0
-        self._twist: Array = np.zeros(6)
-        self._twist_time = -np.inf
-        self._preview: Preview | None = None
-        self._preview_start = 0.0
+        self._q_time = -np.inf
+        # The last command; None while the arm rests and the node is silent.
+        self._dq: Array | None = None
+        self._restart = ''
+        self._paused = False
+        self._last_tick = -np.inf
+        self._rivals: dict[str, list[str]] = {}
+        self._raw_obstacles: list[bytes] = []
+        self._obstacle_time = -np.inf
         self._reason = ''
+        self._said: dict[str, float] = {}
         self._period = 1.0 / self._settings.rate
 
-        self._publisher = self.create_publisher(JointState, 'joint_command', 10)
-        urdf = self._robot_parameters.robot_description
-        if self._robot_parameters.urdf:
-            urdf = resolve(self._robot_parameters.urdf).read_text()
+        urdf = urdf_text(self._robot_parameters)
         if urdf:
-            self._start(urdf)
+            self._start(urdf, static)
         else:
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._description = self.create_subscription(
-                String, 'robot_description', self._on_robot_description, latched)
+                String, 'robot_description',
+                lambda message: self._on_robot_description(message, static), latched)
             self.get_logger().info('waiting for a URDF on the topic robot_description')
 
-    def _on_robot_description(self, message: String) -> None:
+    def _on_robot_description(self, message: String, static: list[Any]) -> None:
         if self._planner is not None:
             return
         try:
-            self._start(message.data)
+            self._start(message.data, static)
         except PlannerError as error:
             self.get_logger().error(f'robot_description: {error}')
 
-    def _start(self, urdf: str) -> None:
-        robot = build_robot(self._robot_parameters, urdf, self._capsules)
+    def _start(self, urdf: str, static: list[Any]) -> None:
+        robot = build_robot(
+            self._robot_parameters, urdf, self._capsules, say=self.get_logger().info)
         self._planner = Planner(robot, self._planner_parameters)
         self._position_command = PositionCommand(
             robot.position_min, robot.position_max, self._settings.position_tolerance)
-        frames = {robot.base_frame, ''}
-        self._obstacles = ObstacleBook(self._static, sorted(frames))
-        self.create_subscription(Twist, 'cmd_vel', self._on_twist, qos_profile_sensor_data)
-        self.create_subscription(
-            MultiDOFJointTrajectory, 'cmd_vel_preview', self._on_preview, 1)
-        self.create_subscription(
-            JointState, 'joint_states', self._on_joint_state, qos_profile_sensor_data)
-        self.create_subscription(MarkerArray, 'obstacles', self._on_obstacles, 10)
-        on_change(self, lambda: (self._planner_parameters, self._settings), self._apply)
-        self.create_timer(
-            self._period, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._obstacles = ObstacleBook(
+            static, sorted({robot.base_frame, ''}),
+            transform=transform_lookup(self, robot.base_frame),
+            estimate_velocity=self._settings.estimate_obstacle_velocity)
+        self._command = CommandInput(
+            {robot.base_frame: 'base', robot.tip_frame: 'tool'}, robot.command_frame, self._now,
+            lambda: self.get_clock().now().nanoseconds / NANOSECONDS, self._warn)
+        self._command.timeout = self._settings.incoming_command_timeout
+        self._output = CommandOutput(
+            self, robot.joint_names, self._settings.outputs, self._period)
+        self._subscribe()
+        self._report_state()
+        on_change(self, lambda: (self._planner_parameters, self._settings), self._apply,
+                  'static_obstacle')
+        self.create_timer(self._period, self._tick, clock=self._loop_clock)
         if not process.request_priority(self._settings.thread_priority):
             self.get_logger().info(
                 'no real-time priority: the system does not grant it (see README, timing)')
@@ -119,42 +145,59 @@ class PlannerNode(process.EndableNode):
             f"planning for '{robot.name}' from {robot.base_frame} to {robot.tip_frame} at "
             f'{self._settings.rate} Hz; joints: {", ".join(robot.joint_names)}')
 
+    def _subscribe(self) -> None:
+        command, sensors = self._command, qos_profile_sensor_data
+        if self._settings.enable_stamped_cmd_vel:
+            self.create_subscription(
+                TwistStamped, 'cmd_vel', command.on_twist_stamped, sensors)
+        else:
+            self.create_subscription(Twist, 'cmd_vel', command.on_twist, sensors)
+        self.create_subscription(
+            MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1)
+        self.create_subscription(JointState, 'joint_states', self._on_joint_state, sensors)
+        self.create_subscription(
+            MarkerArray, 'obstacles', self._raw_obstacles.append, 10, raw=True)
+        self.create_service(SetBool, '~/pause', self._on_pause)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+
+    def _report_state(self) -> None:
+        """Begin to report; each report has its own moment in the ticks to come."""
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._markers = self.create_publisher(MarkerArray, '~/markers', 1)
+        self._robot_markers = RobotMarkers(self.robot)
+        settings = self._settings
+        self._chores: list[tuple[float, Callable[[], None]]] = [(_LOOK_AROUND, self._look_around)]
+        if settings.diagnostics_rate > 0.0:
+            self._chores.append((1.0 / settings.diagnostics_rate, self._publish_diagnostics))
+        if settings.marker_rate > 0.0:
+            self._chores.append((1.0 / settings.marker_rate, self._publish_markers))
+        self._due = [0.0] * len(self._chores)
+
     @property
     def robot(self) -> Robot:
         """The robot; known once the loop runs."""
         assert self._planner is not None
         return self._planner.robot
 
-    def _apply(self, planner: PlannerParameters, settings: PlannerNodeParameters) -> None:
+    def _now(self) -> float:
+        return float(self._loop_clock.now().nanoseconds / NANOSECONDS)
+
+    def _apply(
+        self, planner: PlannerParameters, settings: PlannerNodeParameters,
+        others: dict[str, Any],
+    ) -> None:
+        """Take new settings; raises PlannerError before anything has changed."""
         assert self._planner is not None
+        entries = {name: dict(entry) for name, entry in self._static.items()}
+        for full, value in others.items():
+            _, name, key = full.split('.')
+            entries[name][key] = value
+        static = [obstacle_of(name, entry) for name, entry in entries.items()]
         self._planner.parameters = planner
+        self._static, self._obstacles.static = entries, static  # type: ignore[assignment]
+        self._obstacles.estimate_velocity = settings.estimate_obstacle_velocity
+        self._command.timeout = settings.incoming_command_timeout
         self._planner_parameters, self._settings = planner, settings
-
-    def _on_twist(self, message: Twist) -> None:
-        try:
-            self._twist = messages.twist_from_message(message)
-            self._twist_time = time.monotonic()
-        except StateError as error:
-            self._warn(f'cmd_vel ignored: {error}')
-
-    def _on_preview(self, message: MultiDOFJointTrajectory) -> None:
-        try:
-            self._preview = messages.preview_from_message(message)
-        except StateError as error:
-            self._warn(f'cmd_vel_preview ignored: {error}')
-            return
-        stamp = message.header.stamp
-        age = 0.0
-        if stamp.sec or stamp.nanosec:
-            age = (self.get_clock().now() - Time.from_msg(stamp)).nanoseconds / NANOSECONDS
-        self._preview_start = time.monotonic() - age
-
-    def _ahead(self, now: float) -> TwistAhead | None:
-        """Return what will be commanded from now on; None once the preview is over."""
-        preview, elapsed = self._preview, now - self._preview_start
-        if preview is None or elapsed > preview.times[-1]:
-            return None
-        return lambda times: preview.at(times + elapsed)
 
     def _on_joint_state(self, message: JointState) -> None:
         try:
@@ -162,78 +205,180 @@ class PlannerNode(process.EndableNode):
         except StateError as error:
             self._warn(f'joint_states ignored: {error}')
             return
-        now = time.monotonic()
+        now = self._now()
         if self._q is not None and has_jumped(
                 self._q, q, self.robot.velocity_max, now - self._q_time,
                 self._settings.position_tolerance):
-            self._warn('joint_states jumped: the motion starts again from where the arm is')
-            self._start_again()
+            self._restart = 'joint_states jumped: the motion starts again from where the arm is'
         self._q, self._q_time = q, now
 
-    def _on_obstacles(self, message: MarkerArray) -> None:
-        for problem in self._obstacles.update(message, time.monotonic()):
-            self._warn(f'{problem}; ignored')
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._paused = bool(request.data)
+        response.success = True
+        response.message = ('paused: the arm comes to rest and is left to others' if self._paused
+                            else 'resumed from where the arm is')
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._restart = 'reset: the motion starts again from where the arm is'
+        response.success, response.message = True, self._restart
+        return response
 
     def _tick(self) -> None:
+        begin = time.perf_counter()
+        now = self._now()
+        hold = self._reason_to_hold(now)
+        if hold:
+            self._come_to_rest()
+        else:
+            self._move(now)
+        self._last_tick = now
+        self._state.hold = hold
+        elapsed = time.perf_counter() - begin
+        self._state.tick_times.append(elapsed)
+        self._state.overruns += elapsed > self._period
+        self._after_the_tick(now)
+
+    def _reason_to_hold(self, now: float) -> str:
+        """Say why the arm must rest; empty if it may move."""
+        self._state.fault = True
         if self._q is None:
+            self._state.fault = False
+            return 'waiting for joint_states'
+        timeout = self._settings.joint_state_timeout
+        if now - self._q_time > timeout:
+            self._warn(f'no usable joint_states for {timeout:g} s: stopped')
+            return f'no usable joint_states for {now - self._q_time:.1f} s'
+        if np.isfinite(self._last_tick) and not 0.0 <= now - self._last_tick <= _GAP:
+            self._restart = (f'the clock jumped by {now - self._last_tick:.3f} s: the motion '
+                             'starts again')
+        if self._restart and self._dq is not None:
+            self._warn(self._restart)
+            return self._restart
+        self._restart = ''
+        rivals = self._rivals.get('joint_command', ())
+        if len(rivals) > 1:
+            self._warn(f'joint_command has {len(rivals)} publishers: {", ".join(rivals)}; '
+                       'stopped until only one is left')
+            return f'joint_command has {len(rivals)} publishers: {", ".join(rivals)}'
+        self._state.fault = False
+        return 'paused' if self._paused else ''
+
+    def _come_to_rest(self) -> None:
+        """Brake as the acceleration limits allow; at rest, forget where the motion was going."""
+        if self._dq is None:
             return
-        now = time.monotonic()
-        if now - self._q_time > self._settings.joint_state_timeout:
-            self._lose_state()
-            return
-        fresh = now - self._twist_time <= self._settings.incoming_command_timeout
+        dq = braked(self._dq, self.robot.acceleration_max, self._period)
+        self._publish(dq, known=False)
+        if not dq.any():
+            self._dq = None
+            self._command.forget()
+
+    def _move(self, now: float) -> None:
+        planner, q = self._planner, self._q
+        assert planner is not None and q is not None
+        if self._dq is None:
+            planner.reset()
+            self._position_command.reset()
+        rivals = self._rivals.get('cmd_vel', ())
+        self._state.trouble = ''
+        timeout = self._settings.incoming_command_timeout
+        twist, ahead = self._command.twist(timeout), self._command.ahead(timeout)
+        if len(rivals) > 1:
+            twist, ahead = np.zeros(6), None
+            self._state.trouble = (f'cmd_vel has {len(rivals)} publishers, which are not mixed: '
+                                   f'{", ".join(rivals)}; stop all but one, or use twist_mux')
+            self._warn(self._state.trouble)
+        elif twist.any():
+            twist = self._in_command_frame(twist, q)
         self._obstacles.expire(now)
-        assert self._planner is not None
-        result = self._planner.step(
-            self._q, self._twist if fresh else np.zeros(6), self._obstacles.scene, self._period,
-            self._ahead(now) if fresh else None)
+        result = planner.step(q, twist, self._obstacles.scene, self._period, ahead)
         self._publish(result.dq)
-        self._report(result)
-
-    def _lose_state(self) -> None:
-        """Stop and forget everything: whatever comes next starts from a new measurement."""
-        self._warn(f'no usable joint_states for {self._settings.joint_state_timeout:g} s: stopped')
-        self._publish(np.zeros(self.robot.n))
-        self._q = None
-        self._start_again()
-
-    def _start_again(self) -> None:
-        self._twist_time = -np.inf
-        self._preview = None
-        self._position_command.reset()
-        assert self._planner is not None
-        self._planner.reset()
-
-    def _publish(self, dq: Array) -> None:
-        assert self._q is not None
-        message = JointState()
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.name = list(self.robot.joint_names)
-        message.position = self._position_command.advance(self._q, dq, self._period).tolist()
-        message.velocity = dq.tolist()
-        self._publisher.publish(message)
-
-    def _report(self, result: StepResult) -> None:
-        """Say once when something begins or ceases to hold the arm back."""
         if result.reason and not self._reason:
             self._warn(result.reason)
         self._reason = result.reason
+        self._state.result = result
+
+    def _in_command_frame(self, twist: Array, q: Array) -> Array:
+        if self._command.frame == self.robot.command_frame:
+            return twist
+        rotation = self.robot.tip(q)[0].rotation
+        return drift.turned(twist, rotation if self._command.frame == 'tool' else rotation.T)
+
+    def _publish(self, dq: Array, *, known: bool = True) -> None:
+        assert self._q is not None
+        self._output.publish(
+            self._position_command.advance(self._q, dq, self._period, known=known), dq)
+        self._dq = dq
+
+    def _after_the_tick(self, now: float) -> None:
+        """Take in obstacles, and do at most one of the chores that are due."""
+        if self._raw_obstacles:
+            raw, self._obstacle_time = list(self._raw_obstacles), now
+            self._raw_obstacles.clear()
+            for message in raw:
+                for problem in self._obstacles.update(message, now):
+                    self._warn(f'{problem}; ignored')
+            assert self._planner is not None
+            self._planner.prepare(self._obstacles.scene)
+            return
+        for i, (period, chore) in enumerate(self._chores):
+            if now >= self._due[i] or self._due[i] > now + period:
+                self._due[i] = now + period
+                chore()
+                return
+
+    def _look_around(self) -> None:
+        """See who else commands this arm."""
+        for topic in ('cmd_vel', 'joint_command'):
+            name = self.resolve_topic_name(topic)
+            self._rivals[topic] = sender_names(self.get_publishers_info_by_topic(name))
+
+    def _publish_diagnostics(self) -> None:
+        state, now = self._state, self._now()
+        state.joint_state_age = now - self._q_time
+        state.command_age = self._command.age()
+        state.obstacle_age = now - self._obstacle_time
+        status = status_of(
+            self.get_fully_qualified_name(), self.robot, state, self._q,
+            self._planner_parameters.method, len(self._obstacles.scene.names))
+        self._diagnostics.publish(diagnostics(status, self.get_clock().now().to_msg()))
+        state.tick_times.clear()
+
+    def _publish_markers(self) -> None:
+        if self._q is None or not self._markers.get_subscription_count():
+            return
+        assert self._planner is not None
+        result, reference = self._state.result, self._planner.reference
+        self._markers.publish(self._robot_markers.message(
+            self.robot.kinematics(self._q), self._obstacles.scene,
+            result.nearest if result is not None else None,
+            reference.position if reference is not None else None))
 
     def finish(self) -> None:
-        """Leave the arm with a stop as its last command, and with time to hear it.
+        """Bring the arm to rest and leave it with a stop as its last command.
 
         Destroyed at once, a publisher takes messages with it that are still on their way;
         best-effort listeners do not acknowledge and are told more than once.
         """
-        if self._q is None:
+        if self._dq is None:
             return
+        while self._dq is not None:
+            self._come_to_rest()
+            time.sleep(self._period)
         for _ in range(_LAST_WORDS):
-            self._publish(np.zeros(self.robot.n))
+            self._publish(np.zeros(self.robot.n), known=False)
             time.sleep(_PAUSE)
-        self._publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED))
+        self._output.wait_until_heard(_ACKNOWLEDGED)
 
     def _warn(self, text: str) -> None:
-        self.get_logger().warning(text, throttle_duration_sec=_WARN_PERIOD)
+        """Say what is wrong, the same thing once in a while only."""
+        kind, now = text.partition(':')[0], time.monotonic()
+        if now - self._said.get(kind, -np.inf) > _WARN_PERIOD:
+            if len(self._said) > _KINDS:
+                self._said.clear()
+            self._said[kind] = now
+            self.get_logger().warning(text)
 
 
 def main(args: list[str] | None = None) -> int:

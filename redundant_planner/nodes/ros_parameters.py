@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 
 from redundant_planner.core.errors import ParameterError, PlannerError
 from redundant_planner.core.parameters import check, checked, parameter, PlannerParameters, spec_of
+from redundant_planner.nodes.command_output import OUTPUTS
 from redundant_planner.robot_parameters import RobotParameters
 
 Settings = TypeVar('Settings')
@@ -47,6 +48,23 @@ class PlannerNodeParameters:
         description='Everything starts again from the measured posture when it jumps by more than '
                     'this beyond what the arm can travel, and the commanded positions when they '
                     'are further from it than this.')
+    enable_stamped_cmd_vel: bool = parameter(
+        False, description='cmd_vel is TwistStamped instead of Twist: it says its frame (base or '
+                           'tip) and when it was meant.')
+    estimate_obstacle_velocity: bool = parameter(
+        False, runtime=True,
+        description='Obstacles seen at one place after another are taken to move on like that, '
+                    'and are evaded earlier. Noisy detections make the arm flinch.')
+    outputs: tuple[str, ...] = parameter(
+        (), choices=OUTPUTS,
+        description='Topics besides joint_command: position_commands or velocity_commands '
+                    '(Float64MultiArray, for forward_command_controller), joint_trajectory (for '
+                    'joint_trajectory_controller).')
+    diagnostics_rate: float = parameter(
+        5.0, low=0.0, high=50.0, unit='Hz', description='Rate of /diagnostics; 0 for none.')
+    marker_rate: float = parameter(
+        5.0, low=0.0, high=50.0, unit='Hz',
+        description='Rate of ~/markers while somebody listens; 0 for none.')
     thread_priority: int = parameter(
         40, low=0, high=98,
         description='Real-time priority (SCHED_FIFO) of the loop, where the system grants it; 0 '
@@ -133,7 +151,8 @@ def _descriptor(entry: Field[Any]) -> ParameterDescriptor:
 
 
 def declare_entries(
-    node: Node, prefix: str, names: Iterable[str], sizes: Mapping[str, int | str],
+    node: Node, prefix: str, names: Iterable[str], sizes: Mapping[str, int | str], *,
+    runtime: bool = False,
 ) -> dict[str, dict[str, Any]]:
     """Read the parameters PREFIX.NAME.KEY of a list of named things.
 
@@ -142,6 +161,7 @@ def declare_entries(
         prefix: for example 'static_obstacle'.
         names: of the things.
         sizes: key → number of floats, or 'text' for a string.
+        runtime: whether they may change while the node runs.
 
     Returns:
         name → key → value, with the keys that were given.
@@ -155,7 +175,7 @@ def declare_entries(
         for key, size in sizes.items():
             full = f'{prefix}.{name}.{key}'
             node.declare_parameter(
-                full, None, ParameterDescriptor(dynamic_typing=True, read_only=True))
+                full, None, ParameterDescriptor(dynamic_typing=True, read_only=not runtime))
             value = node.get_parameter(full).value
             if value is not None:
                 entries[name][key] = _checked_entry(full, value, size)
@@ -177,6 +197,7 @@ def _checked_entry(name: str, value: Any, size: int | str) -> Any:
 
 def on_change(
     node: Node, current: Callable[[], tuple[Any, ...]], apply: Callable[..., None],
+    entries: str,
 ) -> None:
     """Let the runtime parameters of the given dataclasses change while the node runs.
 
@@ -185,19 +206,23 @@ def on_change(
     Args:
         node: whose parameters change.
         current: returns the settings in use, one instance per dataclass.
-        apply: takes the new settings, in the same order; may raise PlannerError to refuse.
+        apply: takes the new settings, in the same order, and a dictionary of the changed
+            entries; may raise PlannerError to refuse.
+        entries: prefix of the named entries that may change (`declare_entries`).
     """
 
     def callback(parameters: list[Parameter]) -> SetParametersResult:
-        settings = list(current())
+        settings, others = list(current()), {}
         try:
             for change in parameters:
+                if change.name.startswith(f'{entries}.'):
+                    others[change.name] = change.value
                 for i, setting in enumerate(settings):
                     entry = next((f for f in fields(setting) if f.name == change.name), None)
                     if entry is None:
                         continue
                     settings[i] = replace(setting, **{change.name: change.value})
-            apply(*settings)
+            apply(*settings, others)
         except PlannerError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

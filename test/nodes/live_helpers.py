@@ -36,7 +36,6 @@ class Station:
         self.commands: list[JointState] = []
         self.twist = node.create_publisher(Twist, 'cmd_vel', 10)
         self.joint_states = node.create_publisher(JointState, 'joint_states', 10)
-        self.joint_command = node.create_publisher(JointState, 'joint_command', 10)
         self.obstacles = node.create_publisher(MarkerArray, 'obstacles', 10)
         node.create_subscription(JointState, 'joint_states', self.states.append, 100)
         node.create_subscription(JointState, 'joint_command', self.commands.append, 100)

@@ -197,17 +197,18 @@ def test_the_fake_arm_keeps_its_limits_and_refuses_strangers():
     with station() as (ros, processes):
         arm = processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'],
                               {**paper_arm_values(), 'noise': 0.0})
-        ros.wait_for(lambda: ros.states and ros.joint_command.get_subscription_count() > 1)
+        joint_command = ros.node.create_publisher(JointState, 'joint_command', 10)
+        ros.wait_for(lambda: ros.states and joint_command.get_subscription_count() > 1)
         begin = ros.state(['d1', 'd2'])
         for bad in (JointState(name=['nose'], velocity=[1.0]),
                     JointState(name=['d1'], velocity=[np.nan]),
                     JointState(name=['d1', 'd2'], velocity=[1.0])):
-            ros.joint_command.publish(bad)
+            joint_command.publish(bad)
         ros.drive(np.zeros(6), 0.2)
         np.testing.assert_array_equal(ros.state(['d1', 'd2']), begin)
         deadline = time.monotonic() + PATIENCE
         while ros.state(['d1'])[0] < 0.4 and time.monotonic() < deadline:
-            ros.joint_command.publish(JointState(name=['d1'], velocity=[100.0]))
+            joint_command.publish(JointState(name=['d1'], velocity=[100.0]))
             ros.drive(np.zeros(6), 0.01)
         assert all(m.position[0] <= 0.4 for m in ros.states)
         assert ros.state(['d1'])[0] == 0.4
@@ -252,7 +253,7 @@ def test_parameters_change_while_running_or_are_refused_with_the_reason():
 
 def test_the_urdf_may_come_by_topic():
     with station() as (ros, processes):
-        processes.start('planner_node', values={'tip_frame': 'tool_tip',
+        processes.start('planner_node', values={'tip_frame': 'tool_tip', 'link_shapes': 'straight',
                                                 'axes': ['vx', 'vy', 'vz']})
         processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
         ros.wait_for(lambda: ros.commands, 'a command after robot_description')

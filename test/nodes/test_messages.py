@@ -6,6 +6,7 @@ from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Twist
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -69,7 +70,7 @@ def marker(**changes):
 
 def book_with(*markers, static=()):
     book = ObstacleBook(static, ['', 'base'])
-    problems = book.update(MarkerArray(markers=list(markers)), 0.0)
+    problems = book.update(serialize_message(MarkerArray(markers=list(markers))), 0.0)
     return book, problems
 
 
@@ -82,15 +83,15 @@ def test_a_marker_is_the_ellipsoid_it_came_from():
 
 
 @pytest.mark.parametrize(('change', 'message'), [
-    ({'scale__x': 0.0}, 'semi_axes'), ({'scale__y': -1.0}, 'semi_axes'),
-    ({'pose__orientation__w': 5.0}, 'quaternion'), ({'pose__position__x': np.nan}, 'center'),
+    ({'scale__x': 0.0}, 'scale'), ({'scale__y': -1.0}, 'scale'),
+    ({'pose__orientation__w': 5.0}, 'quaternion'), ({'pose__position__x': np.nan}, 'finite'),
     ({'header__frame_id': 'moon'}, r"frame 'moon'; it must be in '', 'base'"),
     ({'type': Marker.ARROW}, 'must be SPHERE'), ({'action': 7}, 'action 7'),
 ])
 def test_a_bad_marker_changes_nothing_and_the_others_count(change, message):
     book, problems = book_with(marker())
     other = marker(id=5)
-    problems = book.update(MarkerArray(markers=[marker(**change), other]), 1.0)
+    problems = book.update(serialize_message(MarkerArray(markers=[marker(**change), other])), 1.0)
     assert len(problems) == 1
     with pytest.raises(AssertionError, match=message):
         raise AssertionError(problems[0])
@@ -100,17 +101,17 @@ def test_a_bad_marker_changes_nothing_and_the_others_count(change, message):
 
 def test_a_zero_quaternion_is_refused():
     _, problems = book_with(marker(pose__orientation__z=0.0, pose__orientation__w=0.0))
-    assert 'has length 0' in problems[0]
+    assert 'of length 0' in problems[0]
 
 
 def test_markers_are_modified_and_deleted_by_identity():
     static = [Obstacle('wall', np.zeros(3), np.ones(3))]
     book, _ = book_with(marker(), marker(id=1), static=static)
-    book.update(MarkerArray(markers=[marker(pose__position__x=7.0)]), 0.0)
+    book.update(serialize_message(MarkerArray(markers=[marker(pose__position__x=7.0)])), 0.0)
     assert book.scene.centers[1, 0] == 7.0 and len(book.scene.names) == 3
-    book.update(MarkerArray(markers=[marker(action=Marker.DELETE)]), 0.0)
+    book.update(serialize_message(MarkerArray(markers=[marker(action=Marker.DELETE)])), 0.0)
     assert book.scene.names == ('wall', 'ball/1')
-    book.update(MarkerArray(markers=[marker(action=Marker.DELETEALL)]), 0.0)
+    book.update(serialize_message(MarkerArray(markers=[marker(action=Marker.DELETEALL)])), 0.0)
     assert book.scene.names == ('wall',)
 
 

@@ -1,0 +1,127 @@
+"""What the operator asks for: the latest twist, how old it is, and what will come after it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from geometry_msgs.msg import Twist, TwistStamped
+import numpy as np
+import numpy.typing as npt
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from redundant_planner.core.errors import known, StateError
+from redundant_planner.core.horizon import Preview, TwistAhead
+from redundant_planner.nodes import messages
+
+Array = npt.NDArray[np.float64]
+
+# How far in the future a stamp may lie before it must come from another clock [s].
+_FUTURE = 0.1
+
+
+class CommandInput:
+    """The twist that holds at the moment; it ages by the time it was received.
+
+    Attributes:
+        frame: 'base' or 'tool', the axes of the latest twist.
+    """
+
+    def __init__(
+        self, frames: dict[str, str], command_frame: str, clock: Callable[[], float],
+        ros_time: Callable[[], float], warn: Callable[[str], None],
+    ) -> None:
+        """Begin without a command.
+
+        Args:
+            frames: what the base's and the tip's frames are called → 'base' or 'tool'.
+            command_frame: of messages that name no frame.
+            clock: of the loop, by which commands age [s].
+            ros_time: of message stamps [s].
+            warn: takes a sentence about a message that was refused.
+        """
+        self._frames, self._command_frame = frames, command_frame
+        self._clock, self._ros_time, self._warn = clock, ros_time, warn
+        self._unstamped = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop command and preview: motion begins with a new one."""
+        self._twist: Array = np.zeros(6)
+        self._time = -np.inf
+        self._preview: Preview | None = None
+        self._preview_start = 0.0
+        self.frame = self._command_frame
+
+    def age(self) -> float:
+        """Return how long ago the command came [s], infinite without one."""
+        return self._clock() - self._time
+
+    def twist(self, timeout: float) -> Array:
+        """Return the twist (6,) in the axes of `frame`; zero when it is older than `timeout`."""
+        return self._twist if self.age() <= timeout else np.zeros(6)
+
+    def ahead(self, timeout: float) -> TwistAhead | None:
+        """Return what will be commanded from now on.
+
+        None without a preview that still holds, or with a command older than `timeout`.
+        """
+        preview, elapsed = self._preview, self._clock() - self._preview_start
+        if preview is None or elapsed > preview.times[-1] or self.age() > timeout:
+            return None
+        return lambda times: preview.at(times + elapsed)
+
+    def on_twist(self, message: Twist) -> None:
+        """Take a twist in command axes."""
+        self._take(message, self._command_frame)
+
+    def on_twist_stamped(self, message: TwistStamped) -> None:
+        """Take a twist that says its frame and when it was meant.
+
+        No stamp counts as now; one that is too old for the loop to have waited for, or from a
+        clock that runs ahead, is refused, so that a mismatch of clocks cannot move the arm.
+        """
+        stamp = messages.seconds_of(message.header.stamp)
+        if stamp == 0.0 and not self._unstamped:
+            self._unstamped = True
+            self._warn('cmd_vel has no stamp: it counts as now (said once)')
+        late = self._ros_time() - stamp if stamp else 0.0
+        if not -_FUTURE <= late <= self.timeout:
+            self._warn(f'cmd_vel ignored: its stamp is {late:.3f} s old; it may be '
+                       f'{self.timeout:g} s' if late > 0.0 else
+                       f'cmd_vel ignored: its stamp lies {-late:.3f} s in the future; do sender '
+                       'and planner use the same clock (use_sim_time)?')
+            return
+        name = message.header.frame_id
+        if name and name not in self._frames:
+            self._warn(f"cmd_vel ignored: it is given in frame '{name}'; it must be in "
+                       f'{known(self._frames)}')
+            return
+        self._take(message.twist, self._frames.get(name, self._command_frame), late)
+
+    # How old the stamp of a message may be when it arrives [s].
+    timeout = 0.1
+
+    def _take(self, message: Twist, frame: str, late: float = 0.0) -> None:
+        try:
+            self._twist = messages.twist_from_message(message)
+        except StateError as error:
+            self._warn(f'cmd_vel ignored: {error}')
+            return
+        self._time = self._clock() - max(late, 0.0)
+        self.frame = frame
+
+    def on_preview(self, message: MultiDOFJointTrajectory) -> None:
+        """Take what will be commanded, from the message's stamp on."""
+        try:
+            self._preview = messages.preview_from_message(message)
+        except StateError as error:
+            self._warn(f'cmd_vel_preview ignored: {error}')
+            return
+        stamp = messages.seconds_of(message.header.stamp)
+        self._preview_start = self._clock() - (self._ros_time() - stamp if stamp else 0.0)
+
+
+def sender_names(publishers: list[Any]) -> list[str]:
+    """Return the full node names of publishers as the ROS graph knows them."""
+    return [f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in publishers]

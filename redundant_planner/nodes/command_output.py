@@ -1,0 +1,70 @@
+"""joint_command, and the same command in the words of ros2_control's controllers."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Sequence
+
+from builtin_interfaces.msg import Time
+import numpy as np
+import numpy.typing as npt
+from rclpy.duration import Duration
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+Array = npt.NDArray[np.float64]
+
+POSITION_COMMANDS = 'position_commands'
+VELOCITY_COMMANDS = 'velocity_commands'
+JOINT_TRAJECTORY = 'joint_trajectory'
+OUTPUTS = (POSITION_COMMANDS, VELOCITY_COMMANDS, JOINT_TRAJECTORY)
+
+
+class CommandOutput:
+    """Publishes every command on joint_command and on the outputs asked for besides."""
+
+    def __init__(
+        self, node: Node, joint_names: Sequence[str], outputs: Sequence[str], period: float,
+    ) -> None:
+        """Create the publishers.
+
+        Args:
+            node: to create them on.
+            joint_names: the n joints.
+            outputs: out of `OUTPUTS`; each is the name of its topic.
+            period: between commands, in which a trajectory's point shall be reached [s].
+        """
+        self._clock = node.get_clock()
+        self._publisher = node.create_publisher(JointState, 'joint_command', 10)
+        self._message = JointState(name=list(joint_names))
+        self._others = {
+            name: node.create_publisher(
+                JointTrajectory if name == JOINT_TRAJECTORY else Float64MultiArray, name, 10)
+            for name in outputs}
+        self._trajectory = JointTrajectory(joint_names=list(joint_names))
+        self._reach = Duration(seconds=period).to_msg()
+
+    def publish(self, positions: Array, velocities: Array) -> None:
+        """Publish a command, (n,) each [rad, m; per s]."""
+        message = self._message
+        message.header.stamp = self._clock.now().to_msg()
+        # Arrays go in unseen, lists would be checked number by number.
+        message.position = position = array.array('d', positions.tobytes())
+        message.velocity = velocity = array.array('d', velocities.tobytes())
+        self._publisher.publish(message)
+        for name, publisher in self._others.items():
+            if name == JOINT_TRAJECTORY:
+                # Without a stamp it begins on arrival.
+                self._trajectory.header.stamp = Time()
+                self._trajectory.points = [JointTrajectoryPoint(
+                    positions=position, velocities=velocity, time_from_start=self._reach)]
+                publisher.publish(self._trajectory)
+            else:
+                publisher.publish(Float64MultiArray(
+                    data=position if name == POSITION_COMMANDS else velocity))
+
+    def wait_until_heard(self, seconds: float) -> None:
+        """Wait until reliable listeners have acknowledged the last command, or the time is up."""
+        self._publisher.wait_for_all_acked(Duration(seconds=seconds))

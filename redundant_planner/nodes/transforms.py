@@ -1,0 +1,39 @@
+"""Where other frames are, asked of tf2 where it is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.time import Time
+
+from redundant_planner.core.errors import ObstacleError
+from redundant_planner.core.obstacles import rotations
+from redundant_planner.nodes.obstacle_book import Transform
+
+
+def transform_lookup(node: Node, base_frame: str) -> Callable[[str], Transform] | None:
+    """Return a function from frame names to transforms; None where tf2_ros is not installed.
+
+    Only the first question makes the node listen to /tf, which costs every node that does.
+    """
+    try:
+        import tf2_ros
+    except ImportError:
+        return None
+    buffers: list[tf2_ros.Buffer] = []
+    listeners = []
+
+    def transform(frame: str) -> Transform:
+        if not buffers:
+            buffers.append(tf2_ros.Buffer())
+            listeners.append(tf2_ros.TransformListener(buffers[0], node))
+        try:
+            found = buffers[0].lookup_transform(base_frame, frame, Time()).transform
+        except tf2_ros.TransformException as error:
+            raise ObstacleError(f'tf2 knows no way from there to {base_frame}: {error}') from None
+        p, o = found.translation, found.rotation
+        return np.array([p.x, p.y, p.z]), rotations(np.array([o.x, o.y, o.z, o.w]))
+
+    return transform
