@@ -86,6 +86,7 @@ class Processes:
     def start(
         self, node: str, files: Sequence[Path] = (),
         values: Mapping[str, object] | None = None, remap: Mapping[str, str] | None = None,
+        name: str = '',
     ) -> subprocess.Popen[bytes]:
         """Start a node of this package.
 
@@ -94,19 +95,20 @@ class Processes:
             files: parameter files.
             values: single parameters, which win over the files.
             remap: names to remap.
+            name: what to call it where several of the same kind run.
         """
         command = [sys.executable, '-m', f'redundant_planner.nodes.{node}', '--ros-args']
         for file in files:
             command += ['--params-file', str(file)]
-        for name, value in (values or {}).items():
-            command += ['-p', f'{name}:={_yaml(value)}']
-        for name, target in (remap or {}).items():
-            command += ['-r', f'{name}:={target}']
+        for key, value in (values or {}).items():
+            command += ['-p', f'{key}:={_yaml(value)}']
+        for key, target in (remap or {}).items():
+            command += ['-r', f'{key}:={target}']
         # A session of its own, so that Ctrl-C reaches us alone and the end is in our order;
         # and a death signal, so that nothing stays behind even if we are killed.
         child = subprocess.Popen(command, env=self.environment, start_new_session=True,
                                  preexec_fn=_die_with_parent)
-        self._children[node] = child
+        self._children[name or f'{node} {len(self._children)}'] = child
         return child
 
     def check(self) -> None:

@@ -183,7 +183,7 @@ class Planner:
         self._horizon: Horizon | None = None
         self._limits = safety.Limits(
             np.array((robot.position_max - margin, robot.position_min + margin)),
-            robot.velocity_max, robot.acceleration_max)
+            robot.velocity_max, robot.acceleration_max, margin)
         self._maps_of = None
 
     def reset(self) -> None:

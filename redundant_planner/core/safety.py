@@ -68,13 +68,15 @@ class Limits(NamedTuple):
     """What a joint may do [rad, m; per s; per s²].
 
     Attributes:
-        positions: (2, n) highest, then lowest.
+        positions: (2, n) highest, then lowest, a margin taken off.
         velocity_max, acceleration_max: (n,).
+        margin: [rad, m], that may be used up rather than an acceleration limit exceeded.
     """
 
     positions: Array
     velocity_max: Array
     acceleration_max: Array
+    margin: float = 0.0
 
 
 class Barriers(NamedTuple):
@@ -140,12 +142,14 @@ def velocity_bounds(
     - d / (T/2 + dt), the largest speed at which braking the whole arm in proportion stops it
       in time. As T ≥ |q̇_j| / a_j for every joint, the joint alone can brake in time as well.
     The lower bound mirrors it. A joint outside its range may not move further out. Where the
-    acceleration limit contradicts the others, they win.
+    acceleration limit contradicts the others, they win; but measurements are always a little
+    old, and an arm that is found further on than it could be may brake in proportion as long as
+    that ends within the margin.
 
     Args:
         q: (n,) positions.
         previous: (n,) velocity of the last tick.
-        limits: with any margins already taken off.
+        limits: of the joints.
         stop: stopping time T that the next velocity may have [s].
         dt: [s].
 
@@ -153,8 +157,13 @@ def velocity_bounds(
         lower, upper, and whether they keep the acceleration limits.
     """
     # Row 0 is the way up, row 1 the way down, both counted positive outwards.
-    room = np.maximum((limits.positions - q) * _OUTWARD, 0.0)
-    highest = np.minimum(limits.velocity_max, room / (stop / 2.0 + dt))
+    room = (limits.positions - q) * _OUTWARD
+    highest = np.maximum(room, 0.0) / (stop / 2.0 + dt)
+    if limits.margin > 0.0:
+        last = np.maximum(room + limits.margin, 0.0) / (stop / 2.0 + dt)
+        slowed = braked(previous, limits.acceleration_max, dt) * _OUTWARD
+        highest = np.maximum(highest, np.minimum(slowed, last))
+    highest = np.minimum(limits.velocity_max, highest)
     lowest = -highest[::-1]
     reached = previous * _OUTWARD + limits.acceleration_max * dt
     bounds = np.minimum(np.maximum(reached, lowest), highest)

@@ -124,4 +124,5 @@ class CommandInput:
 
 def sender_names(publishers: list[Any]) -> list[str]:
     """Return the full node names of publishers as the ROS graph knows them."""
-    return [f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in publishers]
+    return ['a node whose name is not known yet' if 'UNKNOWN' in p.node_name
+            else f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in publishers]

@@ -50,8 +50,9 @@ _KINDS = 100
 _LAST_WORDS = 3
 _PAUSE = 0.01
 _ACKNOWLEDGED = 0.3
-# How often the node looks for rivals on its topics [s].
+# How often the node looks for rivals on its topics, and for how long before it first moves [s].
 _LOOK_AROUND = 0.5
+_FIRST_LOOK = 1.0
 # A tick that comes this much after the one before it must not go on where that left off [s].
 _GAP = 1.0
 
@@ -91,6 +92,7 @@ class PlannerNode(process.EndableNode):
         self._dq: Array | None = None
         self._restart = ''
         self._paused = False
+        self._ready = np.inf
         self._last_tick = -np.inf
         self._rivals: dict[str, list[str]] = {}
         self._raw_obstacles: list[bytes] = []
@@ -134,6 +136,10 @@ class PlannerNode(process.EndableNode):
         self._output = CommandOutput(
             self, robot.joint_names, self._settings.outputs, self._period)
         self._subscribe()
+        # Before it speaks itself, whatever it hears on its own topic is somebody else's.
+        self._foreign = self.create_subscription(
+            JointState, 'joint_command', self._on_foreign_command, qos_profile_sensor_data,
+            raw=True)
         self._report_state()
         on_change(self, lambda: (self._planner_parameters, self._settings), self._apply,
                   'static_obstacle')
@@ -206,11 +212,18 @@ class PlannerNode(process.EndableNode):
             self._warn(f'joint_states ignored: {error}')
             return
         now = self._now()
-        if self._q is not None and has_jumped(
+        if self._q is None:
+            # Others are found at about the same time as the arm.
+            self._ready = now + _FIRST_LOOK
+        elif has_jumped(
                 self._q, q, self.robot.velocity_max, now - self._q_time,
                 self._settings.position_tolerance):
             self._restart = 'joint_states jumped: the motion starts again from where the arm is'
         self._q, self._q_time = q, now
+
+    def _on_foreign_command(self, message: bytes) -> None:
+        if self._foreign is not None:
+            self._ready = self._now() + _FIRST_LOOK
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._paused = bool(request.data)
@@ -242,9 +255,13 @@ class PlannerNode(process.EndableNode):
     def _reason_to_hold(self, now: float) -> str:
         """Say why the arm must rest; empty if it may move."""
         self._state.fault = True
-        if self._q is None:
+        if self._q is None or now < self._ready:
             self._state.fault = False
-            return 'waiting for joint_states'
+            return 'waiting for joint_states' if self._q is None else (
+                'looking whether somebody else commands this arm')
+        if self._foreign is not None:
+            self.destroy_subscription(self._foreign)
+            self._foreign = None
         timeout = self._settings.joint_state_timeout
         if now - self._q_time > timeout:
             self._warn(f'no usable joint_states for {timeout:g} s: stopped')
@@ -322,6 +339,8 @@ class PlannerNode(process.EndableNode):
             assert self._planner is not None
             self._planner.prepare(self._obstacles.scene)
             return
+        if now < self._ready <= now + 2.0 * self._period:
+            self._look_around()
         for i, (period, chore) in enumerate(self._chores):
             if now >= self._due[i] or self._due[i] > now + period:
                 self._due[i] = now + period

@@ -1,0 +1,97 @@
+"""Commands and their ages, on clocks that the test holds."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import TwistStamped
+import numpy as np
+import pytest
+from rclpy.time import Time
+
+from redundant_planner.nodes.command_input import CommandInput
+from redundant_planner.nodes.messages import twist_to_message
+
+TWIST = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.2])
+
+
+class Clocks:
+    """A loop clock, a ROS clock, and what was said."""
+
+    def __init__(self):
+        self.loop, self.ros, self.said = 100.0, 5000.0, []
+        self.input = CommandInput(
+            {'base_link': 'base', 'tool0': 'tool'}, 'base', lambda: self.loop, lambda: self.ros,
+            self.said.append)
+
+    def send(self, stamp=None, frame=''):
+        message = TwistStamped(twist=twist_to_message(TWIST))
+        if stamp is not None:
+            message.header.stamp = Time(nanoseconds=round(stamp * 1e9)).to_msg()
+        message.header.frame_id = frame
+        self.input.on_twist_stamped(message)
+
+    @property
+    def moving(self):
+        return bool(self.input.twist(0.1).any())
+
+
+@pytest.fixture
+def clocks():
+    return Clocks()
+
+
+def test_a_command_ages_by_receipt(clocks):
+    clocks.input.on_twist(twist_to_message(TWIST))
+    np.testing.assert_array_equal(clocks.input.twist(0.1), TWIST)
+    clocks.loop += 0.09
+    assert clocks.moving
+    clocks.loop += 0.02
+    assert not clocks.moving
+
+
+def test_no_stamp_counts_as_now_and_is_mentioned_once(clocks):
+    clocks.send()
+    assert clocks.moving
+    clocks.send()
+    assert len(clocks.said) == 1 and 'no stamp' in clocks.said[0]
+
+
+def test_a_stamp_makes_a_command_older(clocks):
+    clocks.send(stamp=clocks.ros - 0.06)
+    assert clocks.moving
+    clocks.loop += 0.05
+    assert not clocks.moving and not clocks.said
+
+
+def test_a_stale_stamp_is_refused_with_its_age(clocks):
+    clocks.send(stamp=clocks.ros - 0.25)
+    assert not clocks.moving and '0.250 s old' in clocks.said[0]
+
+
+@pytest.mark.parametrize('offset', [-1000.0, 1000.0])
+def test_clocks_that_disagree_cannot_move_the_arm(clocks, offset):
+    clocks.send(stamp=clocks.ros + offset)
+    assert not clocks.moving and clocks.said
+    assert ('future' in clocks.said[0]) == (offset > 0.0)
+
+
+def test_a_stamp_a_little_ahead_does_not_live_longer(clocks):
+    clocks.send(stamp=clocks.ros + 0.05)
+    assert clocks.moving
+    clocks.loop += 0.11
+    assert not clocks.moving
+
+
+def test_frames_are_the_bases_or_the_tips(clocks):
+    clocks.send(frame='tool0')
+    assert clocks.moving and clocks.input.frame == 'tool'
+    clocks.send(frame='base_link')
+    assert clocks.input.frame == 'base'
+    clocks.input.forget()
+    clocks.send(frame='moon')
+    assert not clocks.moving and "frame 'moon'" in clocks.said[-1]
+
+
+def test_nothing_remains_after_forgetting(clocks):
+    clocks.send()
+    clocks.input.forget()
+    assert not clocks.moving and clocks.input.ahead(0.1) is None

@@ -1,0 +1,333 @@
+"""What may go wrong around a moving arm, with real processes: it always comes to rest smoothly."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+from conftest import make_panda, make_paper_arm, PANDA_READY, PANDA_URDF, ROBOTS
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Twist, TwistStamped
+from live_helpers import PATIENCE, station
+import numpy as np
+import pinocchio as pin
+import pytest
+from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import Marker, MarkerArray
+
+from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.nodes.messages import markers_of, seconds_of, twist_to_message
+
+ARM = make_paper_arm()
+START = {'d1': 0.1, 'd2': 0.1, 'theta4': 0.5233, 'theta5': -0.5233, 'theta6': 1.0467}
+FILE = [ROBOTS / 'paper_2p5r.yaml']
+FORWARD = np.array([0.0, -0.15, 0.0, 0.0, 0.0, 0.0])
+RATE = 250.0
+
+
+class Bench:
+    """A station with an arm and its planner, in motion."""
+
+    def __init__(self, ros, processes, values=None):
+        self.ros, self.processes = ros, processes
+        self.statuses: list[DiagnosticStatus] = []
+        ros.node.create_subscription(DiagnosticArray, '/diagnostics', self._keep, 10)
+        self.arm = processes.start('fake_hardware_node', FILE, {
+            'initial_joints': list(START), 'initial_positions': list(START.values())})
+        self.planner = processes.start('planner_node', FILE, values or {})
+        ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
+
+    def _keep(self, message):
+        self.statuses += message.status
+
+    def move(self, seconds=0.4):
+        self.ros.drive(FORWARD, seconds)
+        assert np.any(self.ros.commands[-1].velocity)
+        self.ros.commands.clear()
+
+    def call(self, kind, name, request):
+        client = self.ros.node.create_client(kind, f'/planner_node/{name}')
+        self.ros.wait_for(client.service_is_ready, name)
+        for _ in range(10):
+            future = client.call_async(request)
+            deadline = time.monotonic() + 2.0
+            while not future.done() and time.monotonic() < deadline:
+                self.ros.spin()
+            if future.done():
+                return future.result()
+        raise AssertionError('no answer')
+
+    def until_rest(self, drive=None):
+        """Drive on until a command is a stop; return the time it took [s]."""
+        begin = time.monotonic()
+        while not (self.ros.commands and not np.any(self.ros.commands[-1].velocity)):
+            assert time.monotonic() < begin + PATIENCE
+            if drive is not None:
+                self.ros.drive(drive, 0.01)
+            self.ros.spin()
+        return time.monotonic() - begin
+
+    def until_motion(self):
+        """Drive on until a command moves the arm."""
+        begin = time.monotonic()
+        while not (self.ros.commands and np.any(self.ros.commands[-1].velocity)):
+            assert time.monotonic() < begin + PATIENCE
+            self.ros.drive(FORWARD, 0.1)
+
+    def says(self, text, level=None):
+        def said():
+            return any(text in s.message and level in (None, s.level) for s in self.statuses)
+        self.ros.wait_for(said, f'diagnostics with {text!r}; last: {self.statuses[-1:]}', 10.0)
+
+
+@pytest.fixture
+def bench():
+    with station() as (ros, processes):
+        yield Bench(ros, processes)
+
+
+def accelerations(commands):
+    """The share of each joint's acceleration limit between successive commands.
+
+    A command that got lost on its way here leaves a gap of whole periods.
+    """
+    velocities = np.array([m.velocity for m in commands])
+    stamps = np.array([seconds_of(m.header.stamp) for m in commands])
+    ticks = np.maximum(np.round(np.diff(stamps) * RATE), 1.0)
+    changes = np.abs(np.diff(velocities, axis=0)) * RATE / ticks[:, None]
+    return changes / ARM.acceleration_max
+
+
+def assert_smooth(commands):
+    assert len(commands) > 2
+    shares = accelerations(commands)
+    worst = int(shares.max(axis=1).argmax())
+    around = [(round(seconds_of(m.header.stamp) % 1000.0, 4), np.round(m.velocity, 4).tolist())
+              for m in commands[max(worst - 2, 0):worst + 4]]
+    assert shares.max() <= 1.0 + 1e-6, f'{shares[worst]} of the limits, among {around}'
+
+
+def test_joint_states_stop(bench):
+    """The planner brakes within the limits, falls silent, and goes on from where the arm is."""
+    bench.move()
+    bench.arm.send_signal(signal.SIGSTOP)
+    assert bench.until_rest(FORWARD) < 1.0
+    assert_smooth(bench.ros.commands)
+    bench.ros.commands.clear()
+    bench.ros.drive(FORWARD, 0.2)
+    assert not bench.ros.commands
+    bench.says('no usable joint_states', DiagnosticStatus.ERROR)
+    bench.arm.send_signal(signal.SIGCONT)
+    bench.until_motion()
+    assert_smooth(bench.ros.commands)
+
+
+@pytest.mark.parametrize('broken', [
+    {'position': [np.nan] * 7}, {'name': list(ARM.joint_names[:-1]), 'position': [0.0] * 6}])
+def test_joint_states_turn_into_nonsense(broken):
+    """Good states stop while bad ones stream in."""
+    with station() as (ros, processes):
+        bench = Bench(ros, processes)
+        bench.move()
+        bench.arm.send_signal(signal.SIGSTOP)
+        begin = time.monotonic()
+        while time.monotonic() < begin + 0.6:
+            ros.joint_states.publish(JointState(**{'name': list(ARM.joint_names), **broken}))
+            ros.drive(FORWARD, 0.01)
+        assert not np.any(ros.commands[-1].velocity)
+        assert_smooth(ros.commands)
+
+
+def test_the_arm_restarts_elsewhere_in_the_middle_of_a_motion(bench):
+    bench.move()
+    bench.arm.kill()
+    bench.processes.start('fake_hardware_node', FILE, {
+        'initial_joints': ['d1', 'd2', 'theta4'], 'initial_positions': [0.3, 0.3, 1.0]})
+    ros = bench.ros
+    ros.wait_for(lambda: ros.states and ros.state(['theta4'])[0] > 0.9, 'the new arm')
+    ros.commands.clear()
+    bench.until_motion()
+    assert_smooth(ros.commands)
+    at = ros.commands[-1].name.index('theta4')
+    assert abs(ros.commands[-1].position[at] - 1.0) < 0.3
+
+
+def test_pause_leaves_the_arm_alone_and_resumes_from_where_it_is(bench):
+    bench.move()
+    assert bench.call(SetBool, 'pause', SetBool.Request(data=True)).success
+    bench.until_rest(FORWARD)
+    assert_smooth(bench.ros.commands)
+    bench.says('paused', DiagnosticStatus.WARN)
+    bench.ros.commands.clear()
+    # Somebody else moves the arm meanwhile.
+    other = bench.ros.node.create_publisher(JointState, 'joint_command', 10)
+    begin = time.monotonic()
+    while time.monotonic() < begin + 0.5:
+        other.publish(JointState(name=['theta6'], velocity=[-0.5]))
+        bench.ros.drive(np.zeros(6), 0.01)
+    bench.ros.node.destroy_publisher(other)
+    bench.ros.wait_for(lambda: bench.ros.states and not np.any(bench.ros.states[-1].velocity))
+    here = bench.ros.state(ARM.joint_names)
+    assert here[5] < START['theta6'] - 0.1
+    bench.ros.commands.clear()
+    assert 'where the arm is' in bench.call(
+        SetBool, 'pause', SetBool.Request(data=False)).message
+    bench.ros.wait_for(lambda: len(bench.ros.commands) > 20, 'commands')
+    np.testing.assert_allclose(bench.ros.commands[-1].position, here, atol=1e-6)
+    bench.move()
+
+
+def test_reset_forgets_where_the_motion_was_going(bench):
+    bench.move()
+    assert bench.call(Trigger, 'reset', Trigger.Request()).success
+    bench.until_rest()
+    assert_smooth(bench.ros.commands)
+    bench.ros.commands.clear()
+    bench.until_motion()
+
+
+def test_two_senders_of_commands_are_refused_by_name_and_not_mixed(bench):
+    bench.move()
+    other = bench.ros.node.create_publisher(Twist, 'cmd_vel', 10)
+    bench.ros.drive(FORWARD, 0.8)
+    bench.until_rest(FORWARD)
+    assert_smooth(bench.ros.commands)
+    bench.says('cmd_vel has 2 publishers, which are not mixed: /station, /station')
+    bench.ros.node.destroy_publisher(other)
+    bench.ros.commands.clear()
+    bench.until_motion()
+
+
+def test_a_second_planner_on_the_same_arm_stops_both(bench):
+    bench.move()
+    second = bench.processes.start('planner_node', FILE, remap={'__node': 'rival'})
+    bench.until_rest(FORWARD)
+    assert_smooth(bench.ros.commands)
+    bench.says('joint_command has 2 publishers: /planner_node, /rival', DiagnosticStatus.ERROR)
+    second.terminate()
+    bench.ros.commands.clear()
+    bench.until_motion()
+
+
+def test_the_end_in_the_middle_of_a_motion_is_a_smooth_stop(bench):
+    bench.move()
+    bench.planner.send_signal(signal.SIGTERM)
+    bench.ros.wait_for(lambda: bench.planner.poll() is not None, 'exit', 10.0)
+    bench.ros.drive(np.zeros(6), 0.2)
+    assert bench.planner.returncode == 0
+    assert not np.any(bench.ros.commands[-1].velocity)
+    assert_smooth(bench.ros.commands)
+
+
+def test_the_command_stops_coming(bench):
+    bench.move()
+    assert bench.until_rest() < 1.0
+    assert_smooth(bench.ros.commands)
+
+
+def test_publishers_of_any_quality_of_service_are_heard(bench):
+    """Best effort and reliable, volatile and latched; and obstacles from a latched topic."""
+    ros = bench.ros
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL,
+                         reliability=ReliabilityPolicy.RELIABLE)
+    ros.node.destroy_publisher(ros.twist)
+    for qos in (qos_profile_sensor_data, latched):
+        ros.twist = ros.node.create_publisher(Twist, 'cmd_vel', qos)
+        ros.wait_for(ros.twist.get_subscription_count, 'listener')
+        ros.drive(FORWARD, 0.3)
+        assert np.any(ros.commands[-1].velocity), qos
+        ros.wait_for(ros.at_rest, 'rest')
+        ros.node.destroy_publisher(ros.twist)
+
+
+def test_stamped_commands_in_the_tips_frame_and_the_other_outputs():
+    with station() as (ros, processes):
+        heard = {'position_commands': [], 'velocity_commands': [], 'joint_trajectory': []}
+        for name, listed in heard.items():
+            kind = JointTrajectory if name == 'joint_trajectory' else Float64MultiArray
+            ros.node.create_subscription(kind, name, listed.append, 10)
+        ros.node.destroy_publisher(ros.twist)
+        ros.twist = ros.node.create_publisher(TwistStamped, 'cmd_vel', 10)
+        names = [f'panda_joint{i}' for i in range(1, 8)]
+        values = {'urdf': PANDA_URDF, 'initial_joints': names,
+                  'initial_positions': PANDA_READY.tolist()}
+        processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], values)
+        processes.start('planner_node', [ROBOTS / 'panda.yaml'], {
+            'urdf': PANDA_URDF, 'enable_stamped_cmd_vel': True, 'outputs': list(heard)})
+        ros.wait_for(lambda: ros.commands and ros.states
+                     and ros.twist.get_subscription_count(), 'start')
+        robot = make_panda()
+        before = robot.kinematics(ros.state(robot.joint_names))
+
+        def drive(twist, seconds, stamp=True):
+            begin = time.monotonic()
+            while time.monotonic() < begin + seconds:
+                message = TwistStamped(twist=twist_to_message(twist))
+                message.header.frame_id = robot.tip_frame
+                if stamp:
+                    message.header.stamp = ros.node.get_clock().now().to_msg()
+                ros.twist.publish(message)
+                ros.spin(0.01)
+
+        # A turn about the tip's own z axis leaves the tip where it is.
+        drive(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5]), 1.5)
+        ros.wait_for(ros.at_rest, 'rest')
+        after = robot.kinematics(ros.state(robot.joint_names))
+        angle = pin.log3(before.tip_rotation.T @ after.tip_rotation)
+        assert angle[2] > 0.5 and np.abs(angle[:2]).max() < 2e-3
+        assert np.linalg.norm(after.tip_position - before.tip_position) < 5e-4
+        last = ros.commands[-1]
+        assert list(heard['position_commands'][-1].data) == pytest.approx(list(last.position))
+        assert len(heard['velocity_commands'][-1].data) == 7
+        trajectory = heard['joint_trajectory'][-1]
+        assert trajectory.joint_names == list(last.name)
+        assert trajectory.points[0].time_from_start.nanosec == 4_000_000
+
+
+def test_markers_show_the_planners_world_to_whoever_looks():
+    with station() as (ros, processes):
+        pictures = []
+        ros.node.create_subscription(MarkerArray, '/planner_node/markers', pictures.append, 10)
+        bench = Bench(ros, processes, {
+            'static_obstacles': ['wall'], 'static_obstacle.wall.center': [1.0, 1.0, 1.0],
+            'static_obstacle.wall.semi_axes': [0.1, 0.2, 0.3]})
+        ros.obstacles.publish(markers_of([Obstacle('o', np.array([0.0, 0.7, 0.9]),
+                                                   np.full(3, 0.02))], 'base_link'))
+        ros.wait_for(lambda: pictures and len(
+            [m for m in pictures[-1].markers if m.ns == 'obstacle']) == 3, 'markers')
+        kinds = {m.ns for m in pictures[-1].markers}
+        assert kinds == {'link', 'nearest', 'reference', 'obstacle'}
+        nearest = next(m for m in pictures[-1].markers if m.ns == 'nearest')
+        assert nearest.type == Marker.LINE_LIST and len(nearest.points) == 2
+        ros.wait_for(lambda: any(
+            {v.key: v.value for v in s.values}.get('obstacles') == '2' for s in bench.statuses))
+        values = {v.key: v.value for v in bench.statuses[-1].values}
+        assert values['method'] == 'dynamic_factor' and values['overruns'].isdigit()
+        assert float(values['nearest distance [m]']) > 0.0
+
+
+def test_two_arms_in_namespaces_do_not_disturb_each_other():
+    with station() as (ros, processes):
+        heard = {name: [] for name in ('left', 'right')}
+        twists = {}
+        for name, listed in heard.items():
+            remap = {'__ns': f'/{name}'}
+            ros.node.create_subscription(
+                JointState, f'/{name}/joint_command', listed.append, 100)
+            twists[name] = ros.node.create_publisher(Twist, f'/{name}/cmd_vel', 10)
+            processes.start('fake_hardware_node', FILE, {
+                'initial_joints': list(START), 'initial_positions': list(START.values())},
+                remap, name=f'{name} arm')
+            processes.start('planner_node', FILE, remap=remap, name=f'{name} planner')
+        ros.wait_for(lambda: all(heard.values()) and all(
+            t.get_subscription_count() for t in twists.values()), 'both')
+        begin = time.monotonic()
+        while time.monotonic() < begin + 0.5:
+            twists['left'].publish(twist_to_message(FORWARD))
+            ros.spin(0.005)
+        assert np.any(heard['left'][-1].velocity)
+        assert not any(np.any(m.velocity) for m in heard['right'])
