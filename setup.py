@@ -43,6 +43,7 @@ setup(
             f'planner_node = {PACKAGE}.nodes.planner_node:main',
             f'fake_hardware_node = {PACKAGE}.nodes.fake_hardware_node:main',
             f'scenario_player = {PACKAGE}.nodes.scenario_player:main',
+            f'show_robot = {PACKAGE}.analysis.show_robot:main',
             f'demo = {PACKAGE}.analysis.demo:main',
             f'reproduce_paper = {PACKAGE}.analysis.reproduce_paper:main',
         ],

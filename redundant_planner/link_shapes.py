@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from redundant_planner.core.errors import PlannerError, RobotError
-from redundant_planner.core.robot import Capsule, Robot
+from redundant_planner.core.robot import Capsule, Robot, tell_apart
 from redundant_planner.resources import resolve
 
 Array = npt.NDArray[np.float64]
@@ -124,6 +124,7 @@ def collision_pieces(robot: Robot, folder: Path | None) -> list[Piece]:
 def _collision_urdf(robot: Robot, folder: Path | None) -> tuple[str, list[Path]]:
     """Return the URDF with absolute mesh paths and nothing but the collision that matters."""
     root = ElementTree.fromstring(robot.urdf)
+    tell_apart(root)
     meshes = []
     for link in root.findall('link'):
         for visual in link.findall('visual'):

@@ -85,7 +85,12 @@ def draw_arm(
         axes.plot_surface(*np.moveaxis(surface, -1, 0), color=OBSTACLE_COLOR, alpha=0.6,
                           linewidth=0)
         corners.append(surface.reshape(-1, 3))
-    extent = np.vstack(corners)
+    set_equal_axes(axes, np.vstack(corners))
+    axes.view_init(elev=18, azim=-35)
+
+
+def set_equal_axes(axes: Any, extent: Array) -> None:
+    """Let 3-D axes show all points (k, 3) at the same scale in every direction."""
     low, high = extent.min(axis=0), extent.max(axis=0)
     half = 0.5 * float((high - low).max())
     for setter, middle in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), 0.5 * (low + high)):
@@ -94,7 +99,6 @@ def draw_arm(
     axes.set_xlabel('x [m]')
     axes.set_ylabel('y [m]')
     axes.set_zlabel('z [m]')
-    axes.view_init(elev=18, azim=-35)
 
 
 # Elevation, azimuth and the axis one looks along in the paper's three views of the arm.
@@ -152,3 +156,50 @@ def joint_curves(
         if i == 0:
             axes.legend(frameon=False, fontsize='small')
     figure.savefig(path, dpi=110)
+
+
+def robot_picture(
+    path: Path, robot: Robot, q: Array, points: Sequence[tuple[str, Array]],
+) -> None:
+    """Write the arm at one posture: collision geometry, capsules, base and tip frames.
+
+    Args:
+        path: PNG or SVG file to write.
+        robot: the arm.
+        q: (n,) posture.
+        points: links and corners (k, 3) of their geometry, in the links' frames.
+    """
+    figure = Figure(figsize=(13.0, 6.5), layout='constrained')
+    figure.suptitle(f"'{robot.name}': collision geometry, capsules, base and tip frames")
+    arm = robot.kinematics(q)
+    corners = [robot.in_base(q, link, cloud[::max(len(cloud) // 400, 1)])
+               for link, cloud in points]
+    extent = np.vstack([*corners, arm.segment_start, arm.segment_end, np.zeros((1, 3))])
+    for i, (elevation, azimuth) in enumerate(((18, -50), (18, 40)), start=1):
+        axes = figure.add_subplot(1, 2, i, projection='3d')
+        for cloud in corners:
+            axes.scatter(*cloud.T, s=1.5, color=OBSTACLE_COLOR, alpha=0.5)
+        for capsule, start, end in zip(robot.capsules, arm.segment_start, arm.segment_end):
+            axes.plot_wireframe(*np.moveaxis(capsule_surface(start, end, capsule.radius), -1, 0),
+                                color=ARM_COLOR, linewidth=0.4, alpha=0.5)
+        for origin, rotation in ((np.zeros(3), np.eye(3)), (arm.tip_position, arm.tip_rotation)):
+            for axis, color in zip(rotation.T, ('red', 'green', 'blue')):
+                axes.plot(*np.array((origin, origin + 0.12 * axis)).T, color=color, linewidth=2.0)
+        set_equal_axes(axes, extent)
+        axes.view_init(elev=elevation, azim=azimuth)
+    figure.savefig(path, dpi=110)
+
+
+def capsule_surface(start: Array, end: Array, radius: float) -> Array:
+    """Return a grid of points (u, v, 3) on a capsule's surface [m]."""
+    along = end - start
+    length = float(np.linalg.norm(along))
+    z = along / length if length > 0.0 else np.array((0.0, 0.0, 1.0))
+    x = np.cross(z, (1.0, 0.0, 0.0) if abs(z[0]) < 0.9 else (0.0, 1.0, 0.0))
+    x /= np.linalg.norm(x)
+    y = np.cross(z, x)
+    tilt = np.concatenate((np.linspace(-np.pi / 2, 0.0, 5), np.linspace(0.0, np.pi / 2, 5)))
+    height = radius * np.sin(tilt) + np.where(np.arange(10) < 5, 0.0, length)
+    turn = np.linspace(0.0, 2.0 * np.pi, 17)
+    ring = np.cos(turn)[:, None] * x + np.sin(turn)[:, None] * y
+    return start + height[:, None, None] * z + radius * np.cos(tilt)[:, None, None] * ring

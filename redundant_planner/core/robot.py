@@ -145,12 +145,12 @@ class Robot:
             ObstacleError: a capsule is not a valid shape.
         """
         self.urdf = urdf
-        full_model, continuous = _read_model(urdf)
+        full_model, continuous, mimics = _read_model(urdf)
         self.name: str = full_model.name
         self.base_frame = base_frame or _root_link(full_model)
         self.tip_frame = tip_frame
         self._model = _reduce_to_chain(
-            full_model, self.base_frame, tip_frame, dict(locked_positions or {}))
+            full_model, self.base_frame, tip_frame, dict(locked_positions or {}), mimics)
         self._data = self._model.createData()
         self.joint_names: tuple[str, ...] = tuple(self._model.names)[1:]
         self.axes = _checked_axes(axes)
@@ -201,6 +201,16 @@ class Robot:
                        for name in (target, source))
         change = there.inverse() * here
         return points @ change.rotation.T + change.translation
+
+    def in_base(self, q: npt.ArrayLike, link: str, points: Array) -> Array:
+        """Return points (k, 3) given in a moving link's frame in the base frame [m].
+
+        Raises:
+            StateError: `q` does not have n finite entries.
+        """
+        pin.forwardKinematics(self._model, self._data, self.checked_posture(q))
+        pose = pin.updateFramePlacement(self._model, self._data, _link_id(self._model, link))
+        return points @ pose.rotation.T + pose.translation
 
     @property
     def model(self) -> pin.Model:
@@ -456,8 +466,18 @@ def _read_only(array: Array) -> Array:
     return array
 
 
-def _read_model(urdf: str) -> tuple[pin.Model, set[str]]:
-    """Build the whole robot with one scalar position per joint, and name its continuous joints.
+class _Mimic(NamedTuple):
+    """A joint that stands at multiplier × another one's position + offset."""
+
+    leader: str
+    multiplier: float
+    offset: float
+
+
+def _read_model(urdf: str) -> tuple[pin.Model, set[str], dict[str, _Mimic]]:
+    """Build the whole robot with one scalar position per joint.
+
+    Also name its continuous joints, and those that follow others.
 
     Pinocchio gives a continuous joint two coordinates (cos, sin); as an unlimited revolute
     joint it has one, and every posture here is a plain vector.
@@ -468,8 +488,15 @@ def _read_model(urdf: str) -> tuple[pin.Model, set[str]]:
         raise RobotError(f'the URDF is not well-formed XML: {error}') from None
     if root.tag != 'robot':
         raise RobotError(f"the URDF's outermost element is <{root.tag}>; it must be <robot>")
-    continuous = set()
+    continuous, mimics = set(), {}
+    tell_apart(root)
     for joint in root.findall('joint'):
+        mimic = joint.find('mimic')
+        if mimic is not None:
+            mimics[joint.get('name', '')] = _Mimic(
+                mimic.get('joint', ''), float(mimic.get('multiplier', 1.0)),
+                float(mimic.get('offset', 0.0)))
+            joint.remove(mimic)
         if joint.get('type') == 'continuous':
             continuous.add(joint.get('name', ''))
             joint.set('type', 'revolute')
@@ -482,7 +509,15 @@ def _read_model(urdf: str) -> tuple[pin.Model, set[str]]:
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding='unicode'))
     except (ValueError, RuntimeError) as error:
         raise RobotError(f'the URDF does not describe a robot: {error}') from None
-    return model, continuous
+    return model, continuous, mimics
+
+
+def tell_apart(root: ElementTree.Element) -> None:
+    """Rename the fixed joints of a URDF that are called like a link: Pinocchio mixes them up."""
+    links = {link.get('name') for link in root.findall('link')}
+    for joint in root.findall('joint'):
+        if joint.get('type') == 'fixed' and joint.get('name') in links:
+            joint.set('name', f'{joint.get("name")} (joint)')
 
 
 def _links(model: pin.Model) -> list[str]:
@@ -502,6 +537,7 @@ def _root_link(model: pin.Model) -> str:
 
 def _reduce_to_chain(
     model: pin.Model, base_frame: str, tip_frame: str, locked_positions: dict[str, float],
+    mimics: Mapping[str, _Mimic],
 ) -> pin.Model:
     """Lock every joint outside base → tip and make the base frame Pinocchio's world."""
     for role, frame in (('base_frame', base_frame), ('tip_frame', tip_frame)):
@@ -531,11 +567,27 @@ def _reduce_to_chain(
             f"no movable joint lies between base_frame '{base_frame}' and "
             f"tip_frame '{tip_frame}'")
 
+    followers = [model.names[i] for i in chain if model.names[i] in mimics]
+    if followers:
+        raise RobotError(
+            f"joint '{followers[0]}' between base_frame and tip_frame mimics "
+            f"'{mimics[followers[0]].leader}'; a chain takes joints that move on their own")
+
     posture = np.clip(pin.neutral(model), model.lowerPositionLimit, model.upperPositionLimit)
     for name, position in locked_positions.items():
         posture[model.joints[model.getJointId(name)].idx_q] = position
+    for name, mimic in mimics.items():
+        leader = model.getJointId(mimic.leader)
+        known_both = model.existJointName(name) and leader < model.njoints
+        if known_both and name not in locked_positions and leader not in chain:
+            posture[model.joints[model.getJointId(name)].idx_q] = (
+                mimic.multiplier * posture[model.joints[leader].idx_q] + mimic.offset)
     locked = [i for i in range(1, model.njoints) if i not in chain]
-    reduced = pin.buildReducedModel(model, locked, posture)
+    try:
+        reduced = pin.buildReducedModel(model, locked, posture)
+    except ValueError as error:
+        raise RobotError('a movable joint has the same name as a link, which Pinocchio cannot '
+                         f'tell apart; rename one of them: {error}') from None
 
     data = reduced.createData()
     pin.framesForwardKinematics(reduced, data, pin.neutral(reduced))

@@ -1,0 +1,190 @@
+"""show_robot: a picture of an arm as the planner sees it, and a parameter file to start from."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+import sys
+import time
+from typing import Any
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
+import yaml
+
+from redundant_planner.analysis.figures import robot_picture
+from redundant_planner.core.errors import PlannerError, RobotError
+from redundant_planner.core.robot import Robot
+from redundant_planner.link_shapes import capsule_entry, collision_pieces, Fit, fitted_capsules
+from redundant_planner.resources import resolve
+from redundant_planner.robot_parameters import (
+    build_robot,
+    read_robot_parameters,
+    RobotParameters,
+    urdf_folder,
+    urdf_text,
+)
+
+Array = npt.NDArray[np.float64]
+
+# What forks after this many joints is a hand.
+_ARM_JOINTS = 6
+
+
+def likely_tip(urdf: str) -> str:
+    """Return the link that is probably the end effector.
+
+    It lies at the end of the chain with the most movable joints, or before the hand: where,
+    after six joints or more, several joints hang from one link or a joint mimics another.
+
+    Raises:
+        RobotError: the URDF does not describe a robot.
+    """
+    try:
+        root = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise RobotError(f'the URDF is not well-formed XML: {error}') from None
+    children: dict[str, list[tuple[str, bool, bool]]] = {}
+    hanging = set()
+    for joint in root.findall('joint'):
+        parent, child = (joint.find(end) for end in ('parent', 'child'))
+        if parent is None or child is None:
+            continue
+        name = child.get('link', '')
+        hanging.add(name)
+        children.setdefault(parent.get('link', ''), []).append(
+            (name, joint.get('type') != 'fixed', joint.find('mimic') is not None))
+    roots = [link.get('name', '') for link in root.findall('link')
+             if link.get('name') not in hanging]
+
+    def longest(link: str, joints: int) -> tuple[int, str]:
+        branches = children.get(link, [])
+        moving = [branch for branch in branches if branch[1]]
+        if joints >= _ARM_JOINTS and (len(moving) > 1 or any(mimic for *_, mimic in moving)):
+            return joints, link
+        best = joints, link
+        for child, moves, mimic in branches:
+            found = longest(child, joints + moves) if not mimic else best
+            if found[0] > best[0] or (found[0] == best[0] and not moves):
+                best = found
+        return best
+
+    if not roots:
+        raise RobotError('the URDF has no root link')
+    return longest(roots[0], 0)[1]
+
+
+def parameter_file(parameters: RobotParameters, robot: Robot) -> str:
+    """Return a ROS parameter file for a robot, its capsules included."""
+    capsules = {c.name: capsule_entry(c) for c in robot.capsules}
+    values: dict[str, Any] = {
+        'urdf': parameters.urdf, 'base_frame': robot.base_frame, 'tip_frame': robot.tip_frame,
+        'axes': list(robot.axes),
+        'acceleration_max': [float(a) for a in robot.acceleration_max],
+        'capsules': list(capsules), 'capsule': capsules}
+    if parameters.velocity_max:
+        values['velocity_max'] = [float(v) for v in robot.velocity_max]
+    text = yaml.dump({'/**': {'ros__parameters': values}}, sort_keys=False, width=99,
+                     default_flow_style=None)
+    return ('# Made by show_robot. A URDF has no acceleration limits: replace acceleration_max by '
+            "your\n# drives' own. The capsules contain all of the collision geometry that the "
+            f'chain moves.\n{text}')
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run show_robot; return the process's exit status."""
+    parser = argparse.ArgumentParser(prog='show_robot', description=__doc__)
+    parser.add_argument('--urdf', help='path, file:// or package:// location of the URDF')
+    parser.add_argument('--params', type=Path, help='parameter file of the robot instead')
+    parser.add_argument('--tip', help='link that is the end effector; the end of the longest '
+                                      'chain, before its hand, if not given')
+    parser.add_argument('--base', default='', help='base link; the root if not given')
+    parser.add_argument('--posture', type=float, nargs='+', metavar='Q',
+                        help='joint positions to draw; the middle of the range if not given')
+    parser.add_argument('--out', type=Path, default=Path('robot.png'),
+                        help='picture to write, PNG or SVG (default: %(default)s)')
+    options = parser.parse_args(args)
+    console = Console(stderr=True)
+    try:
+        parameters, capsules, folder = _parameters(options)
+        began = time.monotonic()
+        robot = build_robot(parameters, urdf_text(parameters, folder), capsules, folder=folder)
+        fits: Sequence[Fit] = ()
+        points: list[tuple[str, Array]] = []
+        if parameters.link_shapes == 'fitted' and not parameters.capsules:
+            fits = fitted_capsules(robot, urdf_folder(parameters, folder))
+        if parameters.urdf:
+            try:
+                points = [(piece.link, piece.points) for piece in collision_pieces(
+                    robot, urdf_folder(parameters, folder))]
+            except RobotError as error:
+                console.print(f'no meshes in the picture: {error}', style='yellow')
+        posture = _posture(robot, options.posture)
+        robot_picture(options.out, robot, posture, points)
+        console.print(_table(robot, fits, time.monotonic() - began))
+        console.print(f'picture: {options.out}')
+        print(parameter_file(parameters, robot), end='')
+    except PlannerError as error:
+        print(f'show_robot: {error}', file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parameters(
+    options: argparse.Namespace,
+) -> tuple[RobotParameters, dict[str, dict[str, Any]], Path | None]:
+    if options.params is not None:
+        if not options.params.is_file():
+            raise PlannerError(f"'{options.params}' is not a file")
+        parameters, capsules = read_robot_parameters(options.params)
+        changes = {key: value for key, value in (
+            ('urdf', options.urdf), ('tip_frame', options.tip), ('base_frame', options.base))
+            if value}
+        return replace(parameters, **changes), capsules, options.params.parent
+    if not options.urdf:
+        raise PlannerError('give --urdf or --params')
+    text = resolve(options.urdf).read_text()
+    tip = options.tip or likely_tip(text)
+    parameters = RobotParameters(urdf=options.urdf, tip_frame=tip, base_frame=options.base)
+    slow = _without_speed(text, parameters)
+    return (replace(parameters, velocity_max=(1.0,)) if slow else parameters), {}, None
+
+
+def _without_speed(urdf: str, parameters: RobotParameters) -> bool:
+    """Return whether some chain joint has no velocity limit in the URDF."""
+    try:
+        Robot(urdf, parameters.tip_frame, base_frame=parameters.base_frame, capsules=[])
+    except RobotError as error:
+        if 'velocity_max' in str(error):
+            print(f'show_robot: {error}; 1.0 is taken', file=sys.stderr)
+            return True
+        raise
+    return False
+
+
+def _posture(robot: Robot, given: Sequence[float] | None) -> Array:
+    if given is not None:
+        return robot.checked_posture(given)
+    low = np.where(np.isfinite(robot.position_min), robot.position_min, 0.0)
+    high = np.where(np.isfinite(robot.position_max), robot.position_max, 0.0)
+    return np.clip(0.5 * (low + high), robot.position_min, robot.position_max)
+
+
+def _table(robot: Robot, fits: Sequence[Fit], seconds: float) -> Table:
+    table = Table(title=f"'{robot.name}' from {robot.base_frame} to {robot.tip_frame}: "
+                        f'{robot.n} joints, {len(robot.capsules)} capsules, {seconds:.1f} s')
+    for heading in ('joint', 'links', 'corners', 'capsules', 'volume ratio'):
+        table.add_column(heading)
+    for fit in fits:
+        table.add_row(fit.joint, ', '.join(fit.links[:3]) + (' …' if len(fit.links) > 3 else ''),
+                      str(fit.corners), str(len(fit.capsules)), f'{fit.ratio:.2f}')
+    return table
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

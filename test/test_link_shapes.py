@@ -1,0 +1,157 @@
+"""Capsules from the collision geometry of URDFs, meshes and primitives."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+from conftest import EXAMPLE_ROBOTS, PANDA_URDF, planar_urdf
+import numpy as np
+import pytest
+
+from redundant_planner.analysis.show_robot import likely_tip, main as show_robot
+from redundant_planner.core.capsule_fit import distances, Shape
+from redundant_planner.core.errors import RobotError
+from redundant_planner.core.robot import Robot
+from redundant_planner.link_shapes import collision_pieces, fitted_capsules
+from redundant_planner.robot_parameters import load_robot, RobotParameters
+
+ARMS = {
+    'panda_description/urdf/panda.urdf': 'panda_hand',
+    'xarm_description/urdf/xarm7.urdf': 'link_eef',
+    'ur_description/urdf/ur5_robot.urdf': 'tool0',
+    'kinova_description/robots/kinova.urdf': 'j2s6s200_link_finger_tip_2',
+    'z1_description/urdf/z1.urdf': 'gripperMover',
+    'tiago_description/robots/tiago_no_hand.urdf': 'wrist_ft_tool_link',
+}
+
+
+@pytest.mark.parametrize(('file', 'tip'), ARMS.items(), ids=[f.split('_')[0] for f in ARMS])
+def test_every_corner_of_an_arms_geometry_is_inside(file, tip):
+    path = EXAMPLE_ROBOTS / file
+    text = path.read_text()
+    assert likely_tip(text) == tip
+    robot = Robot(text, tip, capsules=[], velocity_max=1.0)
+    fits = {fit.joint: fit for fit in fitted_capsules(robot, path.parent, cache=False)}
+    for piece in collision_pieces(robot, path.parent):
+        fit = fits[piece.joint]
+        points = robot.in_link(fit.capsules[0].frame, piece.link, piece.points)
+        outside = np.min([distances(points, Shape(c.start, c.end, c.radius)) - c.radius
+                          for c in fit.capsules], axis=0)
+        assert outside.max() <= 0.0, piece.link
+    ratios = [fit.ratio for fit in fits.values()]
+    assert np.median(ratios) < 2.3 and all(len(fit.capsules) < 5 for fit in fits.values())
+
+
+def arm_with(geometry):
+    """A planar arm whose middle link has one collision element."""
+    return planar_urdf().replace('<link name="link2"/>', (
+        '<link name="link2"><collision><origin xyz="0.1 0 0" rpy="0 1.5707963 0"/>'
+        f'<geometry>{geometry}</geometry></collision></link>'))
+
+
+@pytest.mark.parametrize(('geometry', 'expected'), [
+    ('<sphere radius="0.07"/>', Shape(np.array([0.1, 0, 0]), np.array([0.1, 0, 0]), 0.07)),
+    ('<cylinder radius="0.02" length="0.8"/>', None), ('<box size="0.1 0.2 0.9"/>', None)])
+def test_primitives_stand_where_their_origin_puts_them(geometry, expected):
+    robot = Robot(arm_with(geometry), 'tip', capsules=[], axes=('vx', 'vy'))
+    (fit,) = fitted_capsules(robot, None, cache=False)
+    (capsule,) = fit.capsules
+    assert (capsule.frame, capsule.name, fit.joint) == ('link2', 'link2', 'joint2')
+    middle = 0.5 * (capsule.start + capsule.end)
+    np.testing.assert_allclose(middle, [0.1, 0.0, 0.0], atol=5e-3)
+    if expected is not None:
+        assert capsule.radius == pytest.approx(expected.radius, abs=3e-5)
+    else:  # the element's z axis points along the link's x axis
+        along = np.abs(capsule.end - capsule.start)
+        assert along[0] > 10.0 * along[1:].max()
+
+
+def tetrahedron(path):
+    """Write a mesh with its corners at the origin and at 1 on every axis."""
+    corners = np.vstack((np.zeros(3), np.eye(3)))
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    data = b'\0' * 80 + struct.pack('<I', len(faces))
+    for face in faces:
+        data += struct.pack('<12fH', *np.zeros(3), *corners[list(face)].ravel(), 0)
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize('location', ['mesh.stl', 'package://{package}/urdf/mesh.stl',
+                                      'file://{folder}/mesh.stl'])
+def test_meshes_are_found_relative_by_package_and_by_file_and_scaled(tmp_path, location):
+    folder = tmp_path / 'my_arm' / 'urdf'
+    folder.mkdir(parents=True)
+    tetrahedron(folder / 'mesh.stl')
+    name = location.format(package='my_arm', folder=folder)
+    robot = Robot(arm_with(f'<mesh filename="{name}" scale="0.1 0.2 0.3"/>'), 'tip', capsules=[],
+                  axes=('vx', 'vy'))
+    points = np.vstack([p.points for p in collision_pieces(robot, folder)])
+    size = points.max(axis=0) - points.min(axis=0)
+    np.testing.assert_allclose(np.sort(size), [0.1, 0.2, 0.3], atol=1e-6)
+
+
+def test_what_is_missing_is_named(tmp_path):
+    gone = Robot(arm_with('<mesh filename="gone.stl"/>'), 'tip', capsules=[], axes=('vx', 'vy'))
+    with pytest.raises(RobotError, match=r"mesh of link 'link2': 'gone.stl' is not a file"):
+        collision_pieces(gone, tmp_path)
+    bare = Robot(planar_urdf(), 'tip', capsules=[], axes=('vx', 'vy'))
+    with pytest.raises(RobotError, match="set link_shapes to 'straight'"):
+        collision_pieces(bare, None)
+
+
+def test_a_fit_is_kept_and_found_again(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    robot = Robot(arm_with('<box size="0.1 0.2 0.3"/>'), 'tip', capsules=[], axes=('vx', 'vy'))
+    first = fitted_capsules(robot, None)
+    (file,) = (tmp_path / 'redundant_planner').iterdir()
+    entries = json.loads(file.read_text())
+    entries[0]['capsules'][0]['radius'] = 7.0
+    file.write_text(json.dumps(entries))
+    assert fitted_capsules(robot, None)[0].capsules[0].radius == 7.0
+    file.write_text('{}}')
+    again = fitted_capsules(robot, None)
+    assert again[0].capsules[0].radius == first[0].capsules[0].radius
+    other = Robot(arm_with('<box size="0.1 0.2 0.4"/>'), 'tip', capsules=[], axes=('vx', 'vy'))
+    assert fitted_capsules(other, None)[0].capsules[0].radius != 7.0
+
+
+def test_show_robot_prints_a_parameter_file_that_loads(tmp_path, capsys):
+    picture = tmp_path / 'panda.png'
+    assert show_robot(['--urdf', str(PANDA_URDF), '--out', str(picture)]) == 0
+    file = tmp_path / 'panda.yaml'
+    file.write_text(capsys.readouterr().out)
+    robot = load_robot(file)
+    assert robot.tip_frame == 'panda_hand' and robot.n == 7
+    assert 7 <= len(robot.capsules) <= 10 and picture.stat().st_size > 50_000
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    ([], 'give --urdf or --params'), (['--urdf', '/no/such.urdf'], 'is not a file'),
+    (['--params', '/no/such.yaml'], 'is not a file'),
+    (['--urdf', str(PANDA_URDF), '--tip', 'nose'], "tip_frame 'nose'"),
+    (['--urdf', str(PANDA_URDF), '--posture', '1'], 'posture has shape')])
+def test_show_robot_says_in_one_line_what_is_wrong(arguments, message, capsys, tmp_path):
+    assert show_robot([*arguments, '--out', str(tmp_path / 'x.png')]) == 2
+    error = capsys.readouterr().err
+    assert message in error and 'Traceback' not in error
+
+
+def test_a_joint_that_mimics_another_stands_with_it():
+    """Locked fingers: the follower stands at multiplier × leader + offset."""
+    urdf = planar_urdf(('revolute', 'revolute', 'revolute')).replace('</robot>', (
+        '<link name="a"/><link name="b"/>'
+        '<joint name="lead" type="prismatic"><parent link="tip"/><child link="a"/>'
+        '<axis xyz="1 0 0"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint>'
+        '<joint name="follow" type="prismatic"><parent link="tip"/><child link="b"/>'
+        '<axis xyz="1 0 0"/><limit lower="-9" upper="9" velocity="1" effort="1"/>'
+        '<mimic joint="lead" multiplier="2" offset="0.1"/></joint></robot>'))
+    robot = Robot(urdf, 'tip', locked_positions={'lead': 0.3}, axes=('vx', 'vy'))
+    along = robot.in_link('tip', 'b', np.zeros((1, 3)))[0]
+    np.testing.assert_allclose(along, [0.7, 0.0, 0.0], atol=1e-12)
+    with pytest.raises(RobotError, match=r"joint 'follow' .* mimics 'lead'"):
+        Robot(urdf, 'b', axes=('vx', 'vy'))
+
+
+def test_parameters_know_both_kinds_of_link_shapes():
+    assert RobotParameters().link_shapes == 'fitted'
