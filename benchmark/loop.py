@@ -10,6 +10,7 @@ cmd_vel, after standstill, to the stamp of the first joint_command that moves.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 from pathlib import Path
@@ -47,6 +48,7 @@ _OPERATOR_RATE = 50.0
 # The operator moves and rests in turn, for as long each [s].
 _TURN = 0.4
 _FRAMES = 60
+_runs = itertools.count(os.getpid())
 _STARTS = {
     'panda': np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]),
     'paper_2p5r': np.array([0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0])}
@@ -82,13 +84,15 @@ class Operator:
     """Sends twists and obstacles by the clock, and notes what comes back and when."""
 
     def __init__(self, context: Context, frames: list[bytes], twist: Array) -> None:
+        """Prepare to send a twist (6,) to and fro, and obstacle frames one after another."""
         self.node = Node('operator', context=context, enable_rosout=False)
         self.executor = best_executor(context)
         self.executor.add_node(self.node)
         self.stamps: list[float] = []
         self.latencies: list[float] = []
         self._frames = frames
-        self._go, self._rest = twist_to_message(twist), Twist()
+        self._go = twist_to_message(twist), twist_to_message(-twist)
+        self._rest = Twist()
         self._asked: float | None = None
         self._twist = self.node.create_publisher(Twist, 'cmd_vel', 10)
         self._obstacles = self.node.create_publisher(MarkerArray, 'obstacles', 10)
@@ -119,16 +123,18 @@ class Operator:
         moving = False
         while (elapsed := time.monotonic() - begin) < seconds:
             if elapsed >= twists / _OPERATOR_RATE:
-                go = int(elapsed / _TURN) % 2 == 1
+                turn = int(elapsed / _TURN)
+                go = turn % 2 == 1
                 if go and not moving:
                     self._asked = time.time()
                 moving = go
-                self._twist.publish(self._go if go else self._rest)
+                self._twist.publish(self._go[turn // 2 % 2] if go else self._rest)
                 twists += 1
             if self._frames and elapsed >= frames / _CAMERA_RATE:
                 self._obstacles.publish(self._frames[frames % len(self._frames)])
                 frames += 1
-            self.executor.spin_once(timeout_sec=0.0005)
+            due = min(twists / _OPERATOR_RATE, frames / _CAMERA_RATE if self._frames else np.inf)
+            self.executor.spin_once(timeout_sec=max(begin + due - time.monotonic(), 0.0))
 
 
 def measure(
@@ -140,7 +146,8 @@ def measure(
     arm = load_robot(file, **changes)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     keep_off_shared_memory()
-    context, domain = Context(), 60 + os.getpid() % 40
+    # Another domain for every run: nodes of the last one may still be known on its own.
+    context, domain = Context(), 60 + next(_runs) % 40
     rclpy.init(context=context, domain_id=domain)
     frames = obstacle_messages(arm, start, obstacles) if obstacles else []
     operator = Operator(context, frames, np.array([0.0, 0.05, 0.03, 0.0, 0.0, 0.0]))
@@ -205,8 +212,8 @@ def main(args: list[str] | None = None) -> int:
     options = parser.parse_args(args)
     runs = [(rate, count, busy) for rate in options.rate for count in options.obstacles
             for busy in ((False, True) if options.busy else (False,))]
-    rows = [measure(robot=options.robot, urdf=options.urdf, rate=rate, obstacles=count, seconds=options.seconds,
-                    method=options.method, busy=busy)
+    rows = [measure(robot=options.robot, urdf=options.urdf, rate=rate, obstacles=count,
+                    seconds=options.seconds, method=options.method, busy=busy)
             for rate, count, busy in track(runs, description='loops')]
     table = Table(title=f'{options.robot}, {options.method}, {options.seconds:g} s each')
     for name in rows[0]:

@@ -94,7 +94,7 @@ class Optimum:
         levels = []
         for link, (start, end) in enumerate(ends):
             for obstacle in range(len(scene.names)):
-                matrix = maps.matrices[link, obstacle]
+                matrix = maps.inverse[link, obstacle][:, None] * maps.rotations[obstacle].T
                 first = ca.mtimes(matrix, start - scene.centers[obstacle])
                 along = ca.mtimes(matrix, end - start)
                 t = ca.fmin(ca.fmax(

@@ -143,7 +143,8 @@ class Whitening(NamedTuple):
     Attributes:
         maps: (c, 4, 3k) rows (x, 1) → the three entries of y, each for all k obstacles; one
             map per link, as links differ in radius.
-        matrices: (c, k, 3, 3) A = diag(1 / inflated semi-axes) Rᵀ [1/m].
+        inverse: (c, k, 3) 1 / inflated semi-axes a [1/m]; A = diag(1/a) Rᵀ.
+        rotations: (k, 3, 3) R.
         smallest: (c, k) smallest inflated semi-axis [m].
         velocities: (k, 3) obstacle velocities in the base frame [m/s].
         speeds: (k,) their size [m/s].
@@ -151,7 +152,8 @@ class Whitening(NamedTuple):
     """
 
     maps: Array
-    matrices: Array
+    inverse: Array
+    rotations: Array
     smallest: Array
     velocities: Array
     speeds: Array
@@ -161,14 +163,16 @@ class Whitening(NamedTuple):
 def whitening(scene: Scene, radii: npt.ArrayLike) -> Whitening:
     """Prepare a scene for links of the given radii (c,) [m]."""
     radii = np.asarray(radii, dtype=float)
-    inflated = inflated_semi_axes(scene.semi_axes[None], radii[:, None])
-    matrices = scene.rotations.transpose(0, 2, 1) / inflated[..., None]
-    maps = np.empty((len(radii), 4, 3, len(scene.names)))
-    maps[:, :3] = matrices.transpose(0, 3, 2, 1)
-    maps[:, 3] = -(matrices @ scene.centers[:, :, None])[..., 0].transpose(0, 2, 1)
+    inverse = 1.0 / inflated_semi_axes(scene.semi_axes[None], radii[:, None])
+    # Rᵀ and −Rᵀ c, with the obstacles last: what the links share, but for the scale of its rows.
+    shared = np.empty((4, 3, len(scene.names)))
+    shared[:3] = scene.rotations.transpose(1, 2, 0)
+    shared[3] = -(scene.centers[:, None] @ scene.rotations)[:, 0].T
+    maps = shared * inverse.transpose(0, 2, 1)[:, None]
     speeds = np.sqrt(np.square(scene.velocities).sum(axis=-1))
-    return Whitening(maps.reshape(len(radii), 4, -1), matrices, inflated.min(axis=-1),
-                     scene.velocities, speeds, bool(speeds.any()))
+    return Whitening(maps.reshape(len(radii), 4, -1), inverse, scene.rotations,
+                     1.0 / inverse.max(axis=-1), scene.velocities,
+                     speeds, bool(speeds.any()))
 
 
 class Pairs(NamedTuple):
@@ -209,7 +213,8 @@ def link_clearance(
     whitened = (ends @ maps.maps).reshape(*start.shape[:-1], 2, 3, -1)
     first, along = whitened[..., 0, :, :], whitened[..., 1, :, :]
     if times is not None and maps.moving:
-        flow = (maps.matrices @ maps.velocities[:, :, None])[..., 0].transpose(0, 2, 1)
+        local = (maps.velocities[:, None] @ maps.rotations)[:, 0]
+        flow = (maps.inverse * local).transpose(0, 2, 1)
         first = first - times[:, None, None, None] * flow
     squared = (along * along).sum(axis=-2)
     parameter = -(first * along).sum(axis=-2) / np.maximum(squared, np.finfo(float).tiny)
@@ -268,7 +273,7 @@ def clearance_gradients(
     y = np.moveaxis(pairs.whitened, -2, -1)[chosen]
     # In an ellipsoid's very centre every direction is as good: the guard leaves a zero gradient.
     y /= np.maximum(pairs.clearance[chosen] + 1.0, 1e-9)[:, None]
-    slope = (y[:, None] @ maps.matrices[link, obstacles])[:, 0]
+    slope = (maps.rotations[obstacles] @ (y * maps.inverse[link, obstacles])[:, :, None])[..., 0]
     first = start[segments]
     point = first + pairs.parameter[chosen][:, None] * (end[segments] - first)
     wrench = wrenches(point, slope)

@@ -190,7 +190,9 @@ def _markers(view: npt.NDArray[Any]) -> Markers:
 def _strings(view: npt.NDArray[Any], field: str, count: int) -> list[str]:
     if view[f'count{count}'][0] <= 1:  # nothing but the closing zero
         return [''] * len(view)
-    return [value.decode() for value in view[field].tolist()]
+    values = view[field].tolist()
+    decoded = {value: value.decode() for value in set(values)}  # mostly a single one
+    return [decoded[value] for value in values]
 
 
 def _seconds(stamps: npt.NDArray[Any]) -> Array:
