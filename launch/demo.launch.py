@@ -25,6 +25,8 @@ def generate_launch_description() -> LaunchDescription:
                               description='parameter file for the planner'),
         DeclareLaunchArgument('play', default_value='true',
                               description='whether to play the twist of the scenario'),
+        DeclareLaunchArgument('rviz', default_value='false',
+                              description='whether to show it all in RViz'),
         OpaqueFunction(function=_nodes),
     ])
 
@@ -44,4 +46,8 @@ def _nodes(context) -> list[Node]:
         Node(package='redundant_planner', executable='scenario_player',
              parameters=[{'scenario': scenario_file}], output='screen',
              condition=IfCondition(LaunchConfiguration('play'))),
+        Node(package='rviz2', executable='rviz2', output='screen',
+             arguments=['-d', str(Path(get_package_share_directory('redundant_planner'))
+                                  / 'config' / 'rviz' / 'planner.rviz')],
+             condition=IfCondition(LaunchConfiguration('rviz'))),
     ]

@@ -70,7 +70,8 @@ class Limits(NamedTuple):
     Attributes:
         positions: (2, n) highest, then lowest, a margin taken off.
         velocity_max, acceleration_max: (n,).
-        margin: [rad, m], that may be used up rather than an acceleration limit exceeded.
+        margin: [rad, m], half of which may be used up rather than an acceleration limit
+            exceeded.
     """
 
     positions: Array
@@ -144,7 +145,7 @@ def velocity_bounds(
     The lower bound mirrors it. A joint outside its range may not move further out. Where the
     acceleration limit contradicts the others, they win; but measurements are always a little
     old, and an arm that is found further on than it could be may brake in proportion as long as
-    that ends within the margin.
+    that ends within the first half of the margin.
 
     Args:
         q: (n,) positions.
@@ -160,7 +161,7 @@ def velocity_bounds(
     room = (limits.positions - q) * _OUTWARD
     highest = np.maximum(room, 0.0) / (stop / 2.0 + dt)
     if limits.margin > 0.0:
-        last = np.maximum(room + limits.margin, 0.0) / (stop / 2.0 + dt)
+        last = np.maximum(room + 0.5 * limits.margin, 0.0) / (stop / 2.0 + dt)
         slowed = braked(previous, limits.acceleration_max, dt) * _OUTWARD
         highest = np.maximum(highest, np.minimum(slowed, last))
     highest = np.minimum(limits.velocity_max, highest)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from conftest import make_paper_arm
 from hypothesis import example, given, settings, strategies as st
 import numpy as np
 import pytest
 
+from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety import (
     Barriers,
     Limits,
@@ -152,3 +156,22 @@ def test_same_inputs_give_the_same_output():
     first, second = filtered(*arguments), filtered(*arguments)
     np.testing.assert_array_equal(first.dq, second.dq)
     assert first.stage is second.stage
+
+
+@pytest.mark.parametrize('delay', [1, 2])
+@pytest.mark.parametrize('seed', range(3))
+def test_old_measurements_cost_margin_but_no_acceleration_limit(delay, seed):
+    """A drive's positions arrive some ticks late, as over topics: full speed into the limits."""
+    robot = make_paper_arm()
+    random = np.random.default_rng(seed)
+    planner = Planner(robot, PlannerParameters(drift_gain=0.0))
+    dt, q = 0.004, np.array([0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0])
+    history, previous = [q] * (delay + 1), np.zeros(7)
+    for i in range(1500):
+        if i % 300 == 0:
+            twist = np.append(random.normal(size=3), np.zeros(3)) * 0.3
+        dq = planner.step(history[-1 - delay], twist, Scene.of(), dt).dq
+        assert (np.abs(dq - previous) <= robot.acceleration_max * dt + 1e-9).all()
+        q, previous = q + dt * dq, dq
+        history.append(q)
+        assert (q >= robot.position_min - 1e-9).all() and (q <= robot.position_max + 1e-9).all()

@@ -25,7 +25,6 @@ from redundant_planner.nodes.messages import markers_of, seconds_of, twist_to_me
 ARM = make_paper_arm()
 START = {'d1': 0.1, 'd2': 0.1, 'theta4': 0.5233, 'theta5': -0.5233, 'theta6': 1.0467}
 FILE = [ROBOTS / 'paper_2p5r.yaml']
-FORWARD = np.array([0.0, -0.15, 0.0, 0.0, 0.0, 0.0])
 RATE = 250.0
 
 
@@ -35,17 +34,25 @@ class Bench:
     def __init__(self, ros, processes, values=None):
         self.ros, self.processes = ros, processes
         self.statuses: list[DiagnosticStatus] = []
+        self.forward = np.array([0.0, -0.1, 0.0, 0.0, 0.0, 0.0])
         ros.node.create_subscription(DiagnosticArray, '/diagnostics', self._keep, 10)
         self.arm = processes.start('fake_hardware_node', FILE, {
             'initial_joints': list(START), 'initial_positions': list(START.values())})
         self.planner = processes.start('planner_node', FILE, values or {})
         ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
 
+    def turn_round(self):
+        """Come to rest and forget what was said; the next motion goes the other way."""
+        self.ros.wait_for(lambda: self.ros.commands, 'commands')
+        self.ros.wait_for(self.ros.at_rest, 'rest')
+        self.forward = -self.forward
+        self.statuses.clear()
+
     def _keep(self, message):
         self.statuses += message.status
 
     def move(self, seconds=0.4):
-        self.ros.drive(FORWARD, seconds)
+        self.ros.drive(self.forward, seconds)
         assert np.any(self.ros.commands[-1].velocity)
         self.ros.commands.clear()
 
@@ -76,7 +83,7 @@ class Bench:
         begin = time.monotonic()
         while not (self.ros.commands and np.any(self.ros.commands[-1].velocity)):
             assert time.monotonic() < begin + PATIENCE
-            self.ros.drive(FORWARD, 0.1)
+            self.ros.drive(self.forward, 0.1)
 
     def says(self, text, level=None):
         def said():
@@ -84,8 +91,22 @@ class Bench:
         self.ros.wait_for(said, f'diagnostics with {text!r}; last: {self.statuses[-1:]}', 10.0)
 
 
+@pytest.fixture(scope='module')
+def shared_bench():
+    with station() as (ros, processes):
+        yield Bench(ros, processes)
+
+
 @pytest.fixture
-def bench():
+def bench(shared_bench):
+    """The arm and planner of all tests that leave them alive, at rest, about to move back."""
+    shared_bench.turn_round()
+    return shared_bench
+
+
+@pytest.fixture
+def own_bench():
+    """An arm and a planner for a test that ends one of them."""
     with station() as (ros, processes):
         yield Bench(ros, processes)
 
@@ -102,23 +123,29 @@ def accelerations(commands):
     return changes / ARM.acceleration_max
 
 
-def assert_smooth(commands):
+def assert_smooth(commands, fault=''):
+    """Hold a stop, or a start, to the acceleration limits; `pytest -s` shows what it took."""
     assert len(commands) > 2
     shares = accelerations(commands)
     worst = int(shares.max(axis=1).argmax())
-    around = [(round(seconds_of(m.header.stamp) % 1000.0, 4), np.round(m.velocity, 4).tolist())
-              for m in commands[max(worst - 2, 0):worst + 4]]
+    stamps = [seconds_of(m.header.stamp) for m in commands]
+    around = [(round(t % 1000.0, 4), np.round(m.velocity, 4).tolist())
+              for t, m in zip(stamps[max(worst - 2, 0):worst + 4], commands[max(worst - 2, 0):])]
     assert shares.max() <= 1.0 + 1e-6, f'{shares[worst]} of the limits, among {around}'
+    if fault:
+        rest = next(t for t, m in zip(stamps, commands) if not np.any(m.velocity))
+        print(f'\n{fault}: at rest {rest - stamps[0]:.2f} s after it, {shares.max():.2f} of the '
+              'acceleration limits')
 
 
 def test_joint_states_stop(bench):
     """The planner brakes within the limits, falls silent, and goes on from where the arm is."""
     bench.move()
     bench.arm.send_signal(signal.SIGSTOP)
-    assert bench.until_rest(FORWARD) < 1.0
-    assert_smooth(bench.ros.commands)
+    assert bench.until_rest(bench.forward) < 1.0
+    assert_smooth(bench.ros.commands, 'joint_states stop')
     bench.ros.commands.clear()
-    bench.ros.drive(FORWARD, 0.2)
+    bench.ros.drive(bench.forward, 0.2)
     assert not bench.ros.commands
     bench.says('no usable joint_states', DiagnosticStatus.ERROR)
     bench.arm.send_signal(signal.SIGCONT)
@@ -126,31 +153,32 @@ def test_joint_states_stop(bench):
     assert_smooth(bench.ros.commands)
 
 
-@pytest.mark.parametrize('broken', [
-    {'position': [np.nan] * 7}, {'name': list(ARM.joint_names[:-1]), 'position': [0.0] * 6}])
-def test_joint_states_turn_into_nonsense(broken):
+def test_joint_states_turn_into_nonsense(bench):
     """Good states stop while bad ones stream in."""
-    with station() as (ros, processes):
-        bench = Bench(ros, processes)
-        bench.move()
-        bench.arm.send_signal(signal.SIGSTOP)
-        begin = time.monotonic()
-        while time.monotonic() < begin + 0.6:
-            ros.joint_states.publish(JointState(**{'name': list(ARM.joint_names), **broken}))
-            ros.drive(FORWARD, 0.01)
-        assert not np.any(ros.commands[-1].velocity)
-        assert_smooth(ros.commands)
-
-
-def test_the_arm_restarts_elsewhere_in_the_middle_of_a_motion(bench):
+    names = list(ARM.joint_names)
     bench.move()
-    bench.arm.kill()
-    bench.processes.start('fake_hardware_node', FILE, {
+    bench.arm.send_signal(signal.SIGSTOP)
+    begin = time.monotonic()
+    while time.monotonic() < begin + 0.6:
+        bench.ros.joint_states.publish(JointState(name=names, position=[np.nan] * 7))
+        bench.ros.joint_states.publish(JointState(name=names[:-1], position=[0.0] * 6))
+        bench.ros.drive(bench.forward, 0.01)
+    assert not np.any(bench.ros.commands[-1].velocity)
+    assert_smooth(bench.ros.commands, 'joint_states turn into nonsense')
+    bench.arm.send_signal(signal.SIGCONT)
+    bench.ros.commands.clear()
+    bench.until_motion()
+
+
+def test_the_arm_restarts_elsewhere_in_the_middle_of_a_motion(own_bench):
+    own_bench.move()
+    own_bench.arm.kill()
+    own_bench.processes.start('fake_hardware_node', FILE, {
         'initial_joints': ['d1', 'd2', 'theta4'], 'initial_positions': [0.3, 0.3, 1.0]})
-    ros = bench.ros
+    ros = own_bench.ros
     ros.wait_for(lambda: ros.states and ros.state(['theta4'])[0] > 0.9, 'the new arm')
     ros.commands.clear()
-    bench.until_motion()
+    own_bench.until_motion()
     assert_smooth(ros.commands)
     at = ros.commands[-1].name.index('theta4')
     assert abs(ros.commands[-1].position[at] - 1.0) < 0.3
@@ -159,8 +187,8 @@ def test_the_arm_restarts_elsewhere_in_the_middle_of_a_motion(bench):
 def test_pause_leaves_the_arm_alone_and_resumes_from_where_it_is(bench):
     bench.move()
     assert bench.call(SetBool, 'pause', SetBool.Request(data=True)).success
-    bench.until_rest(FORWARD)
-    assert_smooth(bench.ros.commands)
+    bench.until_rest(bench.forward)
+    assert_smooth(bench.ros.commands, 'pause')
     bench.says('paused', DiagnosticStatus.WARN)
     bench.ros.commands.clear()
     # Somebody else moves the arm meanwhile.
@@ -185,7 +213,7 @@ def test_reset_forgets_where_the_motion_was_going(bench):
     bench.move()
     assert bench.call(Trigger, 'reset', Trigger.Request()).success
     bench.until_rest()
-    assert_smooth(bench.ros.commands)
+    assert_smooth(bench.ros.commands, 'reset')
     bench.ros.commands.clear()
     bench.until_motion()
 
@@ -193,9 +221,9 @@ def test_reset_forgets_where_the_motion_was_going(bench):
 def test_two_senders_of_commands_are_refused_by_name_and_not_mixed(bench):
     bench.move()
     other = bench.ros.node.create_publisher(Twist, 'cmd_vel', 10)
-    bench.ros.drive(FORWARD, 0.8)
-    bench.until_rest(FORWARD)
-    assert_smooth(bench.ros.commands)
+    bench.ros.drive(bench.forward, 0.8)
+    bench.until_rest(bench.forward)
+    assert_smooth(bench.ros.commands, 'a second sender of cmd_vel')
     bench.says('cmd_vel has 2 publishers, which are not mixed: /station, /station')
     bench.ros.node.destroy_publisher(other)
     bench.ros.commands.clear()
@@ -205,28 +233,28 @@ def test_two_senders_of_commands_are_refused_by_name_and_not_mixed(bench):
 def test_a_second_planner_on_the_same_arm_stops_both(bench):
     bench.move()
     second = bench.processes.start('planner_node', FILE, remap={'__node': 'rival'})
-    bench.until_rest(FORWARD)
-    assert_smooth(bench.ros.commands)
+    bench.until_rest(bench.forward)
+    assert_smooth(bench.ros.commands, 'a second planner')
     bench.says('joint_command has 2 publishers: /planner_node, /rival', DiagnosticStatus.ERROR)
     second.terminate()
     bench.ros.commands.clear()
     bench.until_motion()
 
 
-def test_the_end_in_the_middle_of_a_motion_is_a_smooth_stop(bench):
-    bench.move()
-    bench.planner.send_signal(signal.SIGTERM)
-    bench.ros.wait_for(lambda: bench.planner.poll() is not None, 'exit', 10.0)
-    bench.ros.drive(np.zeros(6), 0.2)
-    assert bench.planner.returncode == 0
-    assert not np.any(bench.ros.commands[-1].velocity)
-    assert_smooth(bench.ros.commands)
+def test_the_end_in_the_middle_of_a_motion_is_a_smooth_stop(own_bench):
+    own_bench.move()
+    own_bench.planner.send_signal(signal.SIGTERM)
+    own_bench.ros.wait_for(lambda: own_bench.planner.poll() is not None, 'exit', 10.0)
+    own_bench.ros.drive(np.zeros(6), 0.2)
+    assert own_bench.planner.returncode == 0
+    assert not np.any(own_bench.ros.commands[-1].velocity)
+    assert_smooth(own_bench.ros.commands, 'SIGTERM to the planner')
 
 
 def test_the_command_stops_coming(bench):
     bench.move()
     assert bench.until_rest() < 1.0
-    assert_smooth(bench.ros.commands)
+    assert_smooth(bench.ros.commands, 'cmd_vel stops')
 
 
 def test_publishers_of_any_quality_of_service_are_heard(bench):
@@ -238,7 +266,7 @@ def test_publishers_of_any_quality_of_service_are_heard(bench):
     for qos in (qos_profile_sensor_data, latched):
         ros.twist = ros.node.create_publisher(Twist, 'cmd_vel', qos)
         ros.wait_for(ros.twist.get_subscription_count, 'listener')
-        ros.drive(FORWARD, 0.3)
+        ros.drive(bench.forward, 0.3)
         assert np.any(ros.commands[-1].velocity), qos
         ros.wait_for(ros.at_rest, 'rest')
         ros.node.destroy_publisher(ros.twist)
@@ -327,7 +355,7 @@ def test_two_arms_in_namespaces_do_not_disturb_each_other():
             t.get_subscription_count() for t in twists.values()), 'both')
         begin = time.monotonic()
         while time.monotonic() < begin + 0.5:
-            twists['left'].publish(twist_to_message(FORWARD))
+            twists['left'].publish(twist_to_message([0.0, -0.1, 0.0, 0.0, 0.0, 0.0]))
             ros.spin(0.005)
         assert np.any(heard['left'][-1].velocity)
         assert not any(np.any(m.velocity) for m in heard['right'])
