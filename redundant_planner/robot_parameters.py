@@ -17,7 +17,7 @@ from redundant_planner.core.errors import known, ParameterError
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.core.parameters import check, parameter
 from redundant_planner.core.robot import AXES, Capsule, COMMAND_FRAMES, Robot
-from redundant_planner.link_shapes import fitted_capsules
+from redundant_planner.link_shapes import capsule_entry, fitted_capsules
 from redundant_planner.resources import resolve
 
 
@@ -213,3 +213,27 @@ def _check_keys(
         raise ParameterError(
             f'{what} ' + (f'lacks {known(missing)}' if missing else f'has {known(unknown)}')
             + f'; it takes {known((*required, *optional))}')
+
+
+def parameter_file_text(
+    parameters: RobotParameters, robot: Robot, static: Mapping[str, Mapping[str, Any]],
+    *settings: Any,
+) -> str:
+    """Return a ROS parameter file that needs no other file: the URDF and all capsules are in it.
+
+    Args:
+        parameters: as the robot was built with.
+        robot: the robot.
+        static: entries of the static obstacles.
+        settings: further parameter dataclasses.
+    """
+    values: dict[str, Any] = {}
+    for group in (parameters, *settings):
+        values |= {entry.name: getattr(group, entry.name) for entry in fields(group)}
+    values |= {'urdf': '', 'robot_description': robot.urdf,
+               'capsules': [c.name for c in robot.capsules],
+               'capsule': {c.name: capsule_entry(c) for c in robot.capsules},
+               'static_obstacle': {name: dict(entry) for name, entry in static.items()}}
+    values = {key: list(value) if isinstance(value, tuple) else value
+              for key, value in values.items()}
+    return str(yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False))

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from redundant_planner.core.errors import ObstacleError
 
@@ -117,6 +118,13 @@ class Scene:
         for array in arrays:
             array.setflags(write=False)
         return cls(tuple(o.name for o in obstacles), *arrays)
+
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Return the obstacles one by one."""
+        return tuple(
+            Obstacle(name, center, axes, pin.Quaternion(rotation).coeffs(), velocity)
+            for name, center, axes, rotation, velocity in zip(
+                self.names, self.centers, self.semi_axes, self.rotations, self.velocities))
 
 
 def inflated_semi_axes(semi_axes: Array, radius: npt.ArrayLike) -> Array:

@@ -25,6 +25,7 @@ class CommandInput:
 
     Attributes:
         frame: 'base' or 'tool', the axes of the latest twist.
+        previews: how many previews were taken so far.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class CommandInput:
         self._frames, self._command_frame = frames, command_frame
         self._clock, self._ros_time, self._warn = clock, ros_time, warn
         self._unstamped = False
+        self.previews = 0
         self.forget()
 
     def forget(self) -> None:
@@ -51,6 +53,7 @@ class CommandInput:
         self._time = -np.inf
         self._preview: Preview | None = None
         self._preview_start = 0.0
+        self._ahead_at = 0.0
         self.frame = self._command_frame
 
     def age(self) -> float:
@@ -69,7 +72,12 @@ class CommandInput:
         preview, elapsed = self._preview, self._clock() - self._preview_start
         if preview is None or elapsed > preview.times[-1] or self.age() > timeout:
             return None
+        self._ahead_at = elapsed
         return lambda times: preview.at(times + elapsed)
+
+    def preview_elapsed(self) -> float:
+        """Return where in the preview `ahead` last began [s]."""
+        return self._ahead_at
 
     def on_twist(self, message: Twist) -> None:
         """Take a twist in command axes."""
@@ -115,6 +123,7 @@ class CommandInput:
         """Take what will be commanded, from the message's stamp on."""
         try:
             self._preview = messages.preview_from_message(message)
+            self.previews += 1
         except StateError as error:
             self._warn(f'cmd_vel_preview ignored: {error}')
             return

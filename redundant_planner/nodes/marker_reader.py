@@ -19,6 +19,10 @@ from redundant_planner.core.errors import StateError
 
 Array = npt.NDArray[np.float64]
 
+# The numbers of visualization_msgs/Marker that count here; MODIFY is the same as ADD.
+CUBE, SPHERE, CYLINDER = 1, 2, 3
+ADD, DELETE, DELETEALL = 0, 2, 3
+
 _ENCAPSULATION = 4  # bytes before the payload, which alignment does not count
 # What follows frame_locked, by the alignment and size of the entries: points, colors,
 # texture_resource, then texture's frame_id (after its stamp), format and data, uv_coordinates,

@@ -7,11 +7,19 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from visualization_msgs.msg import Marker
 
 from redundant_planner.core.errors import known, ObstacleError, StateError
 from redundant_planner.core.obstacles import Obstacle, rotations, Scene
-from redundant_planner.nodes.marker_reader import Markers, read_markers
+from redundant_planner.nodes.marker_reader import (
+    ADD,
+    CUBE,
+    CYLINDER,
+    DELETE,
+    DELETEALL,
+    Markers,
+    read_markers,
+    SPHERE,
+)
 
 Array = npt.NDArray[np.float64]
 # A frame's origin (3,) and axes (3, 3) in the base frame.
@@ -19,9 +27,9 @@ Transform = tuple[Array, Array]
 
 # Half extents → semi-axes of the smallest ellipsoid around the shape.
 _ENCLOSING = {
-    int(Marker.SPHERE): (1.0, 1.0, 1.0),
-    int(Marker.CUBE): (math.sqrt(3.0),) * 3,
-    int(Marker.CYLINDER): (math.sqrt(1.5), math.sqrt(1.5), math.sqrt(3.0)),
+    SPHERE: (1.0, 1.0, 1.0),
+    CUBE: (math.sqrt(3.0),) * 3,
+    CYLINDER: (math.sqrt(1.5), math.sqrt(1.5), math.sqrt(3.0)),
 }
 _QUATERNION_TOLERANCE = 0.01
 # An obstacle that seems faster than this was moved, not moving [m/s].
@@ -97,11 +105,11 @@ class ObstacleBook:
             if begin == end:
                 continue
             action, part = int(markers.actions[begin]), slice(begin, end)
-            if action == Marker.DELETEALL:
+            if action == DELETEALL:
                 self._keep(np.zeros(len(self._index), dtype=bool))
-            elif action == Marker.DELETE:
+            elif action == DELETE:
                 self._delete(markers, part)
-            elif action == Marker.ADD:  # MODIFY is the same number
+            elif action == ADD:
                 problems += self._add(markers, part, now)
             else:
                 problems.append(f"obstacle '{_name(markers, begin)}' has action {action}; it "
@@ -177,8 +185,8 @@ class ObstacleBook:
         for i in np.flatnonzero(~good).tolist():
             place = int(places[i])
             if not shaped[i]:
-                what = (f'is a marker of type {types[i]}; it must be SPHERE ({Marker.SPHERE}), '
-                        f'CUBE ({Marker.CUBE}) or CYLINDER ({Marker.CYLINDER})')
+                what = (f'is a marker of type {types[i]}; it must be SPHERE ({SPHERE}), '
+                        f'CUBE ({CUBE}) or CYLINDER ({CYLINDER})')
             elif not sized[i]:
                 what = f'has scale {scales[i].tolist()}; all three must be positive [m]'
             elif not placed[i]:

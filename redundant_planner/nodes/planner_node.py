@@ -13,13 +13,14 @@ import numpy.typing as npt
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core import drift
 from redundant_planner.core.errors import PlannerError, StateError
+from redundant_planner.core.horizon import TwistAhead
 from redundant_planner.core.joint_motion import has_jumped, PositionCommand
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -38,7 +39,14 @@ from redundant_planner.nodes.ros_parameters import (
 )
 from redundant_planner.nodes.state_report import diagnostics, LoopState, RobotMarkers, status_of
 from redundant_planner.nodes.transforms import transform_lookup
-from redundant_planner.robot_parameters import build_robot, obstacle_of, RobotParameters, urdf_text
+from redundant_planner.recorded_tick import RecordedTick, TickKind
+from redundant_planner.robot_parameters import (
+    build_robot,
+    obstacle_of,
+    parameter_file_text,
+    RobotParameters,
+    urdf_text,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -97,6 +105,7 @@ class PlannerNode(process.EndableNode):
         self._rivals: dict[str, list[str]] = {}
         self._raw_obstacles: list[bytes] = []
         self._obstacle_time = -np.inf
+        self._applied = 0
         self._reason = ''
         self._said: dict[str, float] = {}
         self._period = 1.0 / self._settings.rate
@@ -136,6 +145,11 @@ class PlannerNode(process.EndableNode):
         self._output = CommandOutput(
             self, robot.joint_names, self._settings.outputs, self._period)
         self._subscribe()
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._configuration = self.create_publisher(String, '~/configuration', latched)
+        self._publish_configuration()
+        self._ticks = (self.create_publisher(Float64MultiArray, '~/ticks', 1000)
+                       if self._settings.publish_ticks else None)
         # Before it speaks itself, whatever it hears on its own topic is somebody else's.
         self._foreign = self.create_subscription(
             JointState, 'joint_command', self._on_foreign_command, qos_profile_sensor_data,
@@ -204,6 +218,13 @@ class PlannerNode(process.EndableNode):
         self._obstacles.estimate_velocity = settings.estimate_obstacle_velocity
         self._command.timeout = settings.incoming_command_timeout
         self._planner_parameters, self._settings = planner, settings
+        self._publish_configuration()
+
+    def _publish_configuration(self) -> None:
+        """Say all parameters, so that a bag explains itself."""
+        self._configuration.publish(String(data=parameter_file_text(
+            self._robot_parameters, self.robot, self._static, self._planner_parameters,
+            self._settings)))
 
     def _on_joint_state(self, message: JointState) -> None:
         try:
@@ -239,7 +260,7 @@ class PlannerNode(process.EndableNode):
 
     def _tick(self) -> None:
         begin = time.perf_counter()
-        now = self._now()
+        now = self._tick_time = self._now()
         hold = self._reason_to_hold(now)
         if hold:
             self._come_to_rest()
@@ -287,6 +308,7 @@ class PlannerNode(process.EndableNode):
             return
         dq = braked(self._dq, self.robot.acceleration_max, self._period)
         self._publish(dq, known=False)
+        self._record_tick(TickKind.BRAKING, np.zeros(6), None)
         if not dq.any():
             self._dq = None
             self._command.forget()
@@ -294,7 +316,9 @@ class PlannerNode(process.EndableNode):
     def _move(self, now: float) -> None:
         planner, q = self._planner, self._q
         assert planner is not None and q is not None
+        kind = TickKind.GOING_ON
         if self._dq is None:
+            kind = TickKind.STARTING
             planner.reset()
             self._position_command.reset()
         rivals = self._rivals.get('cmd_vel', ())
@@ -311,6 +335,7 @@ class PlannerNode(process.EndableNode):
         self._obstacles.expire(now)
         result = planner.step(q, twist, self._obstacles.scene, self._period, ahead)
         self._publish(result.dq)
+        self._record_tick(kind, twist, ahead)
         if result.reason and not self._reason:
             self._warn(result.reason)
         self._reason = result.reason
@@ -328,11 +353,21 @@ class PlannerNode(process.EndableNode):
             self._position_command.advance(self._q, dq, self._period, known=known), dq)
         self._dq = dq
 
+    def _record_tick(self, kind: TickKind, twist: Array, ahead: TwistAhead | None) -> None:
+        if self._ticks is None:
+            return
+        assert self._q is not None
+        elapsed = self._command.preview_elapsed() if ahead is not None else np.nan
+        self._ticks.publish(Float64MultiArray(data=RecordedTick(
+            self._tick_time, kind, self._applied, self._command.previews, elapsed, twist,
+            self._q).numbers()))
+
     def _after_the_tick(self, now: float) -> None:
         """Take in obstacles, and do at most one of the chores that are due."""
         if self._raw_obstacles:
             raw, self._obstacle_time = list(self._raw_obstacles), now
             self._raw_obstacles.clear()
+            self._applied += len(raw)
             for message in raw:
                 for problem in self._obstacles.update(message, now):
                     self._warn(f'{problem}; ignored')

@@ -60,6 +60,9 @@ class PlannerNodeParameters:
         description='Topics besides joint_command: position_commands or velocity_commands '
                     '(Float64MultiArray, for forward_command_controller), joint_trajectory (for '
                     'joint_trajectory_controller).')
+    publish_ticks: bool = parameter(
+        False, description='Whether every input of every tick is published on ~/ticks: a bag of '
+                           'them can be replayed to the last digit.')
     diagnostics_rate: float = parameter(
         5.0, low=0.0, high=50.0, unit='Hz', description='Rate of /diagnostics; 0 for none.')
     marker_rate: float = parameter(

@@ -1,0 +1,65 @@
+"""One tick's inputs as planner_node publishes them, enough to compute the tick again."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.errors import StateError
+
+Array = npt.NDArray[np.float64]
+
+_HEAD = 5 + 6
+
+
+class TickKind(IntEnum):
+    """What a tick did."""
+
+    BRAKING = 0  # without the planner
+    GOING_ON = 1
+    STARTING = 2  # from rest, the planner reset
+
+
+class RecordedTick(NamedTuple):
+    """The inputs of a tick.
+
+    Attributes:
+        time: the loop's clock, which lifetimes of obstacles refer to [s].
+        kind: what it did.
+        obstacle_messages, preview_messages: how many had been taken in before the tick.
+        preview_elapsed: where the latest preview began at this tick [s]; NaN if none holds.
+        twist: (6,) in the command frame [m/s, rad/s].
+        q: (n,) measured posture [rad, m].
+    """
+
+    time: float
+    kind: TickKind
+    obstacle_messages: int
+    preview_messages: int
+    preview_elapsed: float
+    twist: Array
+    q: Array
+
+    def numbers(self) -> array.array[float]:
+        """Return all of it as one row of numbers."""
+        return array.array('d', np.concatenate((
+            (self.time, self.kind, self.obstacle_messages, self.preview_messages,
+             self.preview_elapsed), self.twist, self.q)).tobytes())
+
+    @classmethod
+    def of(cls, numbers: Sequence[float]) -> RecordedTick:
+        """Return the tick that `numbers` gives.
+
+        Raises:
+            StateError: there are too few numbers.
+        """
+        row = np.array(numbers, dtype=float)
+        if row.ndim != 1 or len(row) <= _HEAD:
+            raise StateError(f'a recorded tick has {row.size} numbers; it takes more than {_HEAD}')
+        return cls(float(row[0]), TickKind(int(row[1])), int(row[2]), int(row[3]), float(row[4]),
+                   row[5:_HEAD], row[_HEAD:])
