@@ -9,7 +9,7 @@ SHARE = f'share/{PACKAGE}'
 
 # The real ROS 2 Jazzy as wheels; with ROS sourced, apt has them already.
 JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
-ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'rich>=13']
+ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'plotly>=5.15', 'rich>=13']
 # For `python -m benchmark.…` alone: what is compared with, and the optimum.
 BENCHMARK = ['casadi', 'mink', 'pin-pink']
 TEST = [
@@ -43,6 +43,9 @@ setup(
             f'planner_node = {PACKAGE}.nodes.planner_node:main',
             f'fake_hardware_node = {PACKAGE}.nodes.fake_hardware_node:main',
             f'scenario_player = {PACKAGE}.nodes.scenario_player:main',
+            f'record_bag = {PACKAGE}.analysis.record_bag:main',
+            f'analyze_bag = {PACKAGE}.analysis.analyze_bag:main',
+            f'replay_bag = {PACKAGE}.analysis.replay_bag:main',
             f'show_robot = {PACKAGE}.analysis.show_robot:main',
             f'demo = {PACKAGE}.analysis.demo:main',
             f'reproduce_paper = {PACKAGE}.analysis.reproduce_paper:main',

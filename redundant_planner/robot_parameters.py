@@ -8,17 +8,23 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import yaml
 
-from redundant_planner.core.errors import known, ParameterError
+from redundant_planner.core.errors import known, ParameterError, RobotError
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.core.parameters import check, parameter
 from redundant_planner.core.robot import AXES, Capsule, COMMAND_FRAMES, Robot
 from redundant_planner.link_shapes import capsule_entry, fitted_capsules
 from redundant_planner.resources import resolve
+
+Settings = TypeVar('Settings')
+
+# What forks after this many joints is a hand.
+_ARM_JOINTS = 6
 
 
 @dataclass(frozen=True)
@@ -162,9 +168,27 @@ def read_robot_parameters(path: Path) -> tuple[RobotParameters, dict[str, dict[s
         ParameterError: the file is unusable, with what is wrong.
     """
     values = read_parameter_file(path)
-    names = {entry.name for entry in fields(RobotParameters)}
-    return (RobotParameters(**{k: v for k, v in values.items() if k in names}),
-            values.get('capsule', {}))
+    return settings_of(RobotParameters, values), values.get('capsule', {})
+
+
+def settings_of(settings: type[Settings], values: Mapping[str, Any]) -> Settings:
+    """Return a parameter dataclass with those of its fields that `values` has.
+
+    Raises:
+        ParameterError: a value does not fit.
+    """
+    names = {entry.name for entry in fields(settings)}  # type: ignore[arg-type]
+    return settings(**{key: value for key, value in values.items() if key in names})
+
+
+def robot_of_values(values: Mapping[str, Any]) -> Robot:
+    """Return the robot of parameter values that hold its URDF (`parameter_file_text`).
+
+    Raises:
+        PlannerError: they do not make a robot.
+    """
+    parameters = settings_of(RobotParameters, values)
+    return build_robot(parameters, urdf_text(parameters), values.get('capsule', {}))
 
 
 def read_parameter_file(path: Path) -> dict[str, Any]:
@@ -177,12 +201,24 @@ def read_parameter_file(path: Path) -> dict[str, Any]:
         content = yaml.safe_load(path.read_text())
     except yaml.YAMLError as error:
         raise ParameterError(f"'{path}' is not valid YAML: {error}") from None
+    return parameter_values(content, f"'{path}'")
+
+
+def parameter_values(content: Any, what: str) -> dict[str, Any]:
+    """Return what the content of a ROS parameter file sets for every node.
+
+    Args:
+        content: as YAML gives it.
+        what: it is, for the message.
+
+    Raises:
+        ParameterError: it is not a parameter file.
+    """
     try:
-        values = content['/**']['ros__parameters']
-    except (TypeError, KeyError):
-        raise ParameterError(f"'{path}' is not a parameter file; it must start with '/**:' and "
+        return dict(content['/**']['ros__parameters'])
+    except (TypeError, KeyError, ValueError):
+        raise ParameterError(f"{what} is not a parameter file; it must start with '/**:' and "
                              "'ros__parameters:'") from None
-    return dict(values)
 
 
 def obstacle_of(name: str, entry: Mapping[str, Any]) -> Obstacle:
@@ -213,6 +249,49 @@ def _check_keys(
         raise ParameterError(
             f'{what} ' + (f'lacks {known(missing)}' if missing else f'has {known(unknown)}')
             + f'; it takes {known((*required, *optional))}')
+
+
+def likely_tip(urdf: str) -> str:
+    """Return the link that is probably the end effector.
+
+    It lies at the end of the chain with the most movable joints, or before the hand: where,
+    after six joints or more, several joints hang from one link or a joint mimics another.
+
+    Raises:
+        RobotError: the URDF does not describe a robot.
+    """
+    try:
+        root = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise RobotError(f'the URDF is not well-formed XML: {error}') from None
+    children: dict[str, list[tuple[str, bool, bool]]] = {}
+    hanging = set()
+    for joint in root.findall('joint'):
+        parent, child = (joint.find(end) for end in ('parent', 'child'))
+        if parent is None or child is None:
+            continue
+        name = child.get('link', '')
+        hanging.add(name)
+        children.setdefault(parent.get('link', ''), []).append(
+            (name, joint.get('type') != 'fixed', joint.find('mimic') is not None))
+    roots = [link.get('name', '') for link in root.findall('link')
+             if link.get('name') not in hanging]
+
+    def longest(link: str, joints: int) -> tuple[int, str]:
+        branches = children.get(link, [])
+        moving = [branch for branch in branches if branch[1]]
+        if joints >= _ARM_JOINTS and (len(moving) > 1 or any(mimic for *_, mimic in moving)):
+            return joints, link
+        best = joints, link
+        for child, moves, mimic in branches:
+            found = longest(child, joints + moves) if not mimic else best
+            if found[0] > best[0] or (found[0] == best[0] and not moves):
+                best = found
+        return best
+
+    if not roots:
+        raise RobotError('the URDF has no root link')
+    return longest(roots[0], 0)[1]
 
 
 def parameter_file_text(

@@ -9,12 +9,12 @@ from conftest import EXAMPLE_ROBOTS, PANDA_URDF, planar_urdf
 import numpy as np
 import pytest
 
-from redundant_planner.analysis.show_robot import likely_tip, main as show_robot
+from redundant_planner.analysis.show_robot import main as show_robot
 from redundant_planner.core.capsule_fit import distances, Shape
 from redundant_planner.core.errors import RobotError
 from redundant_planner.core.robot import Robot
 from redundant_planner.link_shapes import collision_pieces, fitted_capsules
-from redundant_planner.robot_parameters import load_robot, RobotParameters
+from redundant_planner.robot_parameters import likely_tip, load_robot, RobotParameters
 
 ARMS = {
     'panda_description/urdf/panda.urdf': 'panda_hand',

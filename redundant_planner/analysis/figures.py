@@ -190,16 +190,19 @@ def robot_picture(
     figure.savefig(path, dpi=110)
 
 
-def capsule_surface(start: Array, end: Array, radius: float) -> Array:
-    """Return a grid of points (u, v, 3) on a capsule's surface [m]."""
+def capsule_surface(
+    start: Array, end: Array, radius: float, ribs: int = 10, sides: int = 17,
+) -> Array:
+    """Return a grid of points (ribs, sides, 3) on a capsule's surface [m]; `ribs` is even."""
     along = end - start
     length = float(np.linalg.norm(along))
     z = along / length if length > 0.0 else np.array((0.0, 0.0, 1.0))
     x = np.cross(z, (1.0, 0.0, 0.0) if abs(z[0]) < 0.9 else (0.0, 1.0, 0.0))
     x /= np.linalg.norm(x)
     y = np.cross(z, x)
-    tilt = np.concatenate((np.linspace(-np.pi / 2, 0.0, 5), np.linspace(0.0, np.pi / 2, 5)))
-    height = radius * np.sin(tilt) + np.where(np.arange(10) < 5, 0.0, length)
-    turn = np.linspace(0.0, 2.0 * np.pi, 17)
+    half = ribs // 2
+    tilt = np.concatenate((np.linspace(-np.pi / 2, 0.0, half), np.linspace(0.0, np.pi / 2, half)))
+    height = radius * np.sin(tilt) + np.where(np.arange(ribs) < half, 0.0, length)
+    turn = np.linspace(0.0, 2.0 * np.pi, sides)
     ring = np.cos(turn)[:, None] * x + np.sin(turn)[:, None] * y
     return start + height[:, None, None] * z + radius * np.cos(tilt)[:, None, None] * ring

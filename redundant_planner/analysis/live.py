@@ -13,13 +13,14 @@ import sys
 import time
 from types import TracebackType
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -36,7 +37,11 @@ _TOPICS = {
         MultiDOFJointTrajectory, 'trajectory_msgs/msg/MultiDOFJointTrajectory'),
     'obstacles': (MarkerArray, 'visualization_msgs/msg/MarkerArray'),
     'robot_description': (String, 'std_msgs/msg/String'),
+    'planner_node/configuration': (String, 'std_msgs/msg/String'),
+    'planner_node/ticks': (Float64MultiArray, 'std_msgs/msg/Float64MultiArray'),
+    'diagnostics': (DiagnosticArray, 'diagnostic_msgs/msg/DiagnosticArray'),
 }
+_LATCHED = ('robot_description', 'planner_node/configuration')
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
 # How long processes get to start, and to end [s].
 _START_PATIENCE = 30.0
@@ -216,7 +221,7 @@ def _record(node: Node, writer: BagWriter, seen: set[str]) -> None:
     """Write every message of the package's topics to the bag as it arrived."""
     for topic, (message_class, message_type) in _TOPICS.items():
         writer.add_topic(f'/{topic}', message_type)
-        latched = topic == 'robot_description'
+        latched = topic in _LATCHED
         qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL if latched
                          else DurabilityPolicy.VOLATILE)
 

@@ -18,7 +18,6 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import ReaderError, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
-from rosbags.typesys.store import Typestore
 
 from redundant_planner.core.errors import known, PlannerError
 from redundant_planner.core.obstacles import Obstacle
@@ -91,6 +90,13 @@ class BagWriter:
             np.empty(0))
         self.write(topic, time_ns, bytes(_TYPES.serialize_cdr(message, _JOINT_STATE)))
 
+    def write_twist(self, topic: str, time_ns: int, twist: Array) -> None:
+        """Append a geometry_msgs/Twist of six numbers."""
+        kinds = _TYPES.types
+        vector = kinds['geometry_msgs/msg/Vector3']
+        message = kinds['geometry_msgs/msg/Twist'](vector(*twist[:3]), vector(*twist[3:]))
+        self.write(topic, time_ns, bytes(_TYPES.serialize_cdr(message, 'geometry_msgs/msg/Twist')))
+
     def write_text(self, topic: str, time_ns: int, text: str) -> None:
         """Append a std_msgs/String."""
         message = _TYPES.types['std_msgs/msg/String'](text)
@@ -155,15 +161,16 @@ class Bag:
 
     def read(
         self, topics: Sequence[str], begin: float = 0.0, end: float = np.inf,
-        progress: Callable[[float], None] | None = None,
+        progress: Callable[[float], None] | None = None, order: Sequence[str] | None = None,
     ) -> Iterator[JointChunk | Event]:
-        """Yield what was recorded on some topics, in its order, without holding it all.
+        """Yield what was recorded on some topics without holding it all.
 
-        Joint states come in chunks, which end where a message of another topic comes between.
+        Joint states come in chunks, which end where a message comes between whose order counts.
         A message that cannot be decoded is left out and mentioned in `problems`.
 
         Args:
             topics: names without namespace.
+            order: those whose place among the joint states counts; all of them if None.
             begin, end: seconds from the first message.
             progress: takes the share that is done, now and then.
         """
@@ -186,8 +193,9 @@ class Bag:
                         if progress is not None:
                             progress(min(arrival / max(self.duration, 1e-9), 1.0))
                     continue
-                for batch in batches.values():
-                    yield from batch.chunk(self.origin_ns)
+                if order is None or name in order:
+                    for batch in batches.values():
+                        yield from batch.chunk(self.origin_ns)
                 try:
                     message = _decoded(self._reader, raw, connection.msgtype)
                 except (AnyReaderError, UnicodeDecodeError, ValueError) as error:
@@ -414,11 +422,6 @@ def _decoded(reader: AnyReader, raw: bytes, message_type: str) -> Any:
         return reader.deserialize(raw, message_type)
     except AnyReaderError:
         return reader.deserialize(raw[:-4], message_type)
-
-
-def typestore() -> Typestore:
-    """Return the message types of Jazzy."""
-    return _TYPES
 
 
 @dataclass(frozen=True)

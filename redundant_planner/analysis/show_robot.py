@@ -9,7 +9,6 @@ from pathlib import Path
 import sys
 import time
 from typing import Any
-import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +23,7 @@ from redundant_planner.link_shapes import capsule_entry, collision_pieces, Fit, 
 from redundant_planner.resources import resolve
 from redundant_planner.robot_parameters import (
     build_robot,
+    likely_tip,
     read_robot_parameters,
     RobotParameters,
     urdf_folder,
@@ -31,52 +31,6 @@ from redundant_planner.robot_parameters import (
 )
 
 Array = npt.NDArray[np.float64]
-
-# What forks after this many joints is a hand.
-_ARM_JOINTS = 6
-
-
-def likely_tip(urdf: str) -> str:
-    """Return the link that is probably the end effector.
-
-    It lies at the end of the chain with the most movable joints, or before the hand: where,
-    after six joints or more, several joints hang from one link or a joint mimics another.
-
-    Raises:
-        RobotError: the URDF does not describe a robot.
-    """
-    try:
-        root = ElementTree.fromstring(urdf)
-    except ElementTree.ParseError as error:
-        raise RobotError(f'the URDF is not well-formed XML: {error}') from None
-    children: dict[str, list[tuple[str, bool, bool]]] = {}
-    hanging = set()
-    for joint in root.findall('joint'):
-        parent, child = (joint.find(end) for end in ('parent', 'child'))
-        if parent is None or child is None:
-            continue
-        name = child.get('link', '')
-        hanging.add(name)
-        children.setdefault(parent.get('link', ''), []).append(
-            (name, joint.get('type') != 'fixed', joint.find('mimic') is not None))
-    roots = [link.get('name', '') for link in root.findall('link')
-             if link.get('name') not in hanging]
-
-    def longest(link: str, joints: int) -> tuple[int, str]:
-        branches = children.get(link, [])
-        moving = [branch for branch in branches if branch[1]]
-        if joints >= _ARM_JOINTS and (len(moving) > 1 or any(mimic for *_, mimic in moving)):
-            return joints, link
-        best = joints, link
-        for child, moves, mimic in branches:
-            found = longest(child, joints + moves) if not mimic else best
-            if found[0] > best[0] or (found[0] == best[0] and not moves):
-                best = found
-        return best
-
-    if not roots:
-        raise RobotError('the URDF has no root link')
-    return longest(roots[0], 0)[1]
 
 
 def parameter_file(parameters: RobotParameters, robot: Robot) -> str:

@@ -422,6 +422,7 @@ class PlannerNode(process.EndableNode):
             time.sleep(self._period)
         for _ in range(_LAST_WORDS):
             self._publish(np.zeros(self.robot.n), known=False)
+            self._record_tick(TickKind.BRAKING, np.zeros(6), None)
             time.sleep(_PAUSE)
         self._output.wait_until_heard(_ACKNOWLEDGED)
 

@@ -1,0 +1,334 @@
+"""replay_bag: what the planner would have done with other parameters, computed offline."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import track
+import yaml
+
+from redundant_planner.analysis.bag_analysis import robot_of_bag
+from redundant_planner.analysis.recording import (
+    as_it_is,
+    Bag,
+    BagWriter,
+    columns_of,
+    Event,
+    JointChunk,
+    open_bag,
+    RecordingError,
+    twist_of,
+)
+from redundant_planner.core.errors import ParameterError, PlannerError, StateError
+from redundant_planner.core.horizon import Preview, TwistAhead
+from redundant_planner.core.parameters import METHODS, PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot import Robot
+from redundant_planner.core.safety import braked
+from redundant_planner.nodes.obstacle_book import ObstacleBook
+from redundant_planner.recorded_tick import RecordedTick, TickKind
+from redundant_planner.robot_parameters import obstacle_of, read_parameter_file, settings_of
+
+Array = npt.NDArray[np.float64]
+
+_TIMEOUT = 0.1
+_RATE = 250
+
+
+@dataclass
+class Inputs:
+    """What a planner was given; times in seconds from the bag's first message.
+
+    Attributes:
+        robot: the arm.
+        values: the parameters it ran with, as far as they were recorded.
+        start: (n,) first joint state [rad, m].
+        begin, end: of the joint states [s].
+        ticks: every tick's inputs, if they were recorded, and the times of their recording.
+        twists: times and cmd_vel.
+        obstacles: times and serialised MarkerArrays.
+        previews: times and what was announced.
+        commands: joint_command, (k, n) velocities [rad/s, m/s].
+        raw: times and messages that go into the new bag as they are, by topic.
+    """
+
+    robot: Robot
+    values: dict[str, Any]
+    start: Array
+    begin: float
+    end: float
+    ticks: list[tuple[float, RecordedTick]] = field(default_factory=list)
+    twists: list[tuple[float, Array]] = field(default_factory=list)
+    obstacles: list[tuple[float, bytes]] = field(default_factory=list)
+    previews: list[tuple[float, Preview]] = field(default_factory=list)
+    commands: Array = field(default_factory=lambda: np.empty((0, 0)))
+    raw: list[tuple[str, float, bytes]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
+    """Read what a planner was given.
+
+    Raises:
+        PlannerError: the bag lacks a robot or joint states.
+    """
+    notes: list[str] = []
+    robot, values = robot_of_bag(bag, params, urdf, tip, notes)
+    if robot is None:
+        raise RecordingError(f"'{bag.path}': {notes[-1]}")
+    inputs = Inputs(robot, values, np.empty(0), 0.0, 0.0, notes=notes)
+    commands = []
+    for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', 'obstacles',
+                          'cmd_vel_preview', 'robot_description'), order=()):
+        if isinstance(item, JointChunk):
+            columns = columns_of(item.names, robot.joint_names)
+            if item.topic == 'joint_command':
+                commands.append(item.velocities[:, columns])
+                continue
+            if not len(inputs.start):
+                inputs.start = item.positions[0, columns]
+                inputs.begin = float(item.arrivals[0])
+            inputs.end = float(item.arrivals[-1])
+        elif item.topic == 'ticks':
+            inputs.ticks.append((item.arrival, RecordedTick.of(item.message.data)))
+        elif item.topic == 'cmd_vel':
+            inputs.twists.append((item.arrival, twist_of(item.message)))
+        elif item.topic == 'cmd_vel_preview':
+            inputs.previews.append((item.arrival, _preview(item)))
+        else:
+            if item.topic == 'obstacles':
+                inputs.obstacles.append((item.arrival, item.raw))
+            inputs.raw.append((item.topic, item.arrival, item.raw))
+    if not len(inputs.start):
+        raise RecordingError(f"'{bag.path}' holds no messages on joint_states")
+    inputs.commands = np.concatenate(commands) if commands else np.empty((0, robot.n))
+    inputs.notes += bag.problems
+    return inputs
+
+
+def _preview(item: Event) -> Preview:
+    points = item.message.points
+    return Preview(
+        np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]),
+        np.array([twist_of(p.velocities[0]) for p in points]).reshape(-1, 6))
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The commands of a replay.
+
+    Attributes:
+        times: (k,) from the bag's first message [s].
+        positions, velocities: (k, n).
+        twists: (k, 6) commanded, in the command frame.
+    """
+
+    times: Array
+    positions: Array
+    velocities: Array
+    twists: Array
+
+
+def again(inputs: Inputs, parameters: PlannerParameters) -> Replay:
+    """Compute the recorded ticks again from their own inputs, measurements included.
+
+    With the recorded parameters this gives the recorded commands back.
+
+    Raises:
+        RecordingError: the ticks were not recorded from their beginning.
+    """
+    first = next((i for i, (_, tick) in enumerate(inputs.ticks)
+                  if tick.kind == TickKind.STARTING), None)
+    if first is None:
+        raise RecordingError('the bag has no start of a motion on ticks; record from before the '
+                             'planner starts, or after a reset')
+    rows = _rows(inputs, parameters, inputs.ticks[first:], measured=True)
+    return rows
+
+
+def otherwise(inputs: Inputs, parameters: PlannerParameters) -> Replay:
+    """Run the planner and an ideal arm from the first joint state on, on the recorded commands."""
+    ticks = inputs.ticks
+    if not ticks:
+        ticks = _ticks_of_topics(inputs)
+    return _rows(inputs, parameters, ticks, measured=False)
+
+
+def _ticks_of_topics(inputs: Inputs) -> list[tuple[float, RecordedTick]]:
+    """Make up ticks at the planner's rate from what arrived when."""
+    rate = int(inputs.values.get('rate', _RATE))
+    timeout = float(inputs.values.get('incoming_command_timeout', _TIMEOUT))
+    times = inputs.begin + np.arange(round((inputs.end - inputs.begin) * rate)) / rate
+    arrivals = [np.array([time for time, _ in listed]) for listed in (
+        inputs.twists, inputs.obstacles, inputs.previews)]
+    latest, known, announced = (np.searchsorted(a, times, side='right') for a in arrivals)
+    ticks = []
+    for time, twist, scene, preview in zip(times, latest, known, announced):
+        fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
+        elapsed = time - inputs.previews[preview - 1][0] if preview and fresh else np.nan
+        ticks.append((float(time), RecordedTick(
+            float(time), TickKind.GOING_ON, int(scene), int(preview), float(elapsed),
+            inputs.twists[twist - 1][1] if fresh else np.zeros(6), inputs.start)))
+    return ticks
+
+
+def _rows(
+    inputs: Inputs, parameters: PlannerParameters, ticks: list[tuple[float, RecordedTick]], *,
+    measured: bool,
+) -> Replay:
+    """Step through ticks, at measured postures or at those of an ideal arm."""
+    robot = inputs.robot
+    planner = Planner(robot, parameters)
+    values = inputs.values
+    static = [obstacle_of(name, entry)
+              for name, entry in (values.get('static_obstacle') or {}).items()]
+    book = ObstacleBook(static, (), transform=as_it_is, estimate_velocity=bool(
+        values.get('estimate_obstacle_velocity', False)))
+    dt = 1.0 / int(values.get('rate', _RATE))
+    q, dq = inputs.start, np.zeros(robot.n)
+    if ticks and measured is False and inputs.ticks:
+        q = ticks[0][1].q
+    applied = 0
+    count = len(ticks)
+    positions, velocities = np.empty((count, robot.n)), np.empty((count, robot.n))
+    previous = ticks[0][1].time if ticks else 0.0
+    for i, (_, tick) in enumerate(track(
+            ticks, description='replaying', console=Console(stderr=True), transient=True)):
+        if measured:
+            q = tick.q
+        # What was taken in after the tick before, with that tick's time.
+        for _, raw in inputs.obstacles[applied:tick.obstacle_messages]:
+            book.update(raw, previous)
+        applied = max(applied, tick.obstacle_messages)
+        if tick.kind == TickKind.BRAKING and measured:
+            dq = braked(dq, robot.acceleration_max, dt)
+        else:
+            if tick.kind == TickKind.STARTING and (measured or i == 0):
+                planner.reset()
+            book.expire(tick.time)
+            dq = planner.step(q, tick.twist, book.scene, dt, _ahead(inputs, tick)).dq
+        positions[i], velocities[i] = q, dq
+        q, previous = q + dt * dq, tick.time
+    return Replay(np.array([time for time, _ in ticks]), positions, velocities,
+                  np.array([tick.twist for _, tick in ticks]).reshape(-1, 6))
+
+
+def _ahead(inputs: Inputs, tick: RecordedTick) -> TwistAhead | None:
+    if np.isnan(tick.preview_elapsed) or not 0 < tick.preview_messages <= len(inputs.previews):
+        return None
+    preview, elapsed = inputs.previews[tick.preview_messages - 1][1], tick.preview_elapsed
+    if elapsed > preview.times[-1]:
+        return None
+    return lambda times: preview.at(times + elapsed)
+
+
+def write_replay(path: Path, inputs: Inputs, replay: Replay, origin_ns: int, text: str) -> None:
+    """Write a bag of a replay: its joint states and commands, and the recorded inputs.
+
+    Raises:
+        RecordingError: there is something of that name.
+    """
+    robot = inputs.robot
+
+    def ns(time: float) -> int:
+        return origin_ns + round(time * 1e9)
+
+    kinds = {'joint_states': 'sensor_msgs/msg/JointState',
+             'joint_command': 'sensor_msgs/msg/JointState',
+             'cmd_vel': 'geometry_msgs/msg/Twist',
+             'configuration': 'std_msgs/msg/String',
+             'robot_description': 'std_msgs/msg/String',
+             'obstacles': 'visualization_msgs/msg/MarkerArray'}
+    with BagWriter(path) as bag:
+        for topic, kind in kinds.items():
+            bag.add_topic(f'/{topic}', kind)
+        bag.write_text('/configuration', ns(replay.times[0]), text)
+        events = [(time, topic, raw) for topic, time, raw in inputs.raw]
+        events.sort(key=lambda event: event[0])
+        for i, time in enumerate(replay.times):
+            while events and events[0][0] <= time:
+                at, topic, raw = events.pop(0)
+                bag.write(f'/{topic}', ns(at), raw)
+            if i == 0 or not np.array_equal(replay.twists[i], replay.twists[i - 1]) or i % 10 == 0:
+                bag.write_twist('/cmd_vel', ns(time), replay.twists[i])
+            bag.write_joints('/joint_states', ns(time), robot.joint_names, replay.positions[i],
+                             replay.velocities[i])
+            bag.write_joints('/joint_command', ns(time), robot.joint_names,
+                             replay.positions[i], replay.velocities[i])
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run replay_bag; return the process's exit status."""
+    parser = argparse.ArgumentParser(prog='replay_bag', description=__doc__)
+    parser.add_argument('bag', type=Path)
+    parser.add_argument('--out', type=Path, help='folder of the new bag (default: BAG_replay)')
+    parser.add_argument('--params', type=Path, help='parameter file that changes some')
+    parser.add_argument('--method', choices=METHODS)
+    parser.add_argument('--robot', type=Path, help='parameter file of the arm, if not recorded')
+    parser.add_argument('--urdf', default='')
+    parser.add_argument('--tip', default='')
+    parser.add_argument('--namespace', default='')
+    options = parser.parse_args(args)
+    out = options.out or options.bag.parent / f'{options.bag.stem}_replay'
+    try:
+        if out.exists():
+            raise PlannerError(f"'{out}' exists already; name a new folder with --out")
+        with open_bag(options.bag, options.namespace) as bag:
+            inputs = read_inputs(bag, options.robot, options.urdf, options.tip)
+            origin_ns = bag.origin_ns
+        recorded = settings_of(PlannerParameters, inputs.values)
+        changed = recorded
+        if options.params is not None:
+            if not options.params.is_file():
+                raise ParameterError(f"'{options.params}' is not a file")
+            changed = settings_of(PlannerParameters, {
+                **_plain(recorded), **read_parameter_file(options.params)})
+        if options.method:
+            changed = replace(changed, method=options.method)
+        exact = changed == recorded and bool(inputs.ticks)
+        replay = again(inputs, changed) if exact else otherwise(inputs, changed)
+        values = {**inputs.values, **{key: list(value) if isinstance(value, tuple) else value
+                                      for key, value in _plain(changed).items()}}
+        write_replay(out, inputs, replay, origin_ns,
+                     str(yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)))
+        if exact:
+            print(f'every tick again with the recorded parameters: {_difference(inputs, replay)}')
+        else:
+            print(f"'{changed.method}' from the first joint state on, with an ideal arm")
+        for note in inputs.notes:
+            print(f'note: {note}')
+        print(f'bag: {out}')
+    except (PlannerError, StateError) as error:
+        print(f'replay_bag: {error}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print('replay_bag: interrupted', file=sys.stderr)
+        return 130
+    return 0
+
+
+def _plain(parameters: PlannerParameters) -> dict[str, Any]:
+    return dict(vars(parameters))
+
+
+def _difference(inputs: Inputs, replay: Replay) -> str:
+    """Say how far the replayed commands are from the recorded ones."""
+    commands, again_ = inputs.commands, replay.velocities
+    if len(commands) < len(again_):
+        return (f'{len(again_)} ticks, but {len(commands)} recorded commands: some were lost, '
+                'they cannot be compared')
+    # The recording of commands may have begun before that of the first start.
+    commands = commands[len(commands) - len(again_):]
+    return (f'{len(again_)} ticks, largest difference to the recorded commands '
+            f'{float(np.abs(commands - again_).max()):.3g}')
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
