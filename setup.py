@@ -12,6 +12,8 @@ JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'plotly>=5.15', 'rich>=13']
 # For `python -m benchmark.…` alone: what is compared with, and the optimum.
 BENCHMARK = ['casadi', 'mink', 'pin-pink']
+# A headless Chromium for the report's own test; half a gigabyte.
+BROWSER = ['PySide6-WebEngine']
 TEST = [
     'colcon-bash', 'colcon-core', 'colcon-package-information', 'colcon-python-setup-py',
     'colcon-ros', 'example-robot-data', 'hypothesis', 'mypy', 'pytest', 'ruff', 'types-PyYAML',
@@ -32,7 +34,8 @@ setup(
     # pin is Pinocchio on PyPI; apt's ros-jazzy-pinocchio provides the same module.
     install_requires=['setuptools', 'numpy>=1.26', 'scipy>=1.8', 'pin>=3', 'daqp>=0.5',
                       'PyYAML>=6'],
-    extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'benchmark': BENCHMARK, 'test': TEST},
+    extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'benchmark': BENCHMARK, 'test': TEST,
+                    'browser': BROWSER},
     zip_safe=False,
     maintainer='redundant_planner developers',
     maintainer_email='maintainers@example.com',

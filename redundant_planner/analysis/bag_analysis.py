@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -60,8 +61,8 @@ _BEHIND, _AHEAD = 20, 400
 _UNKNOWN_RADIUS = 0.05
 # A measure below this is round-off, of which nothing can be a share.
 _NOTHING = 1e-9
-# Further places of obstacles that move are kept up to this many.
-_SCENES = 20_000
+# Obstacles that are kept, all their places counted.
+_OBSTACLES = 200_000
 
 
 @dataclass(frozen=True)
@@ -286,32 +287,48 @@ class _Clearances:
         return result
 
 
-@dataclass
 class _Commands:
-    """The twists that held, without repetitions: [begin, end), twist."""
+    """The twists that held, without repetitions: from when to when, and six numbers."""
 
-    timeout: float
-    begins: list[float] = field(default_factory=list)
-    ends: list[float] = field(default_factory=list)
-    twists: list[Array] = field(default_factory=list)
+    def __init__(self, timeout: float) -> None:
+        self._timeout = timeout
+        self._rows = array.array('d')  # 8 numbers each: a long bag has millions
 
     def add(self, time: float, twist: Array) -> None:
-        if self.begins:
-            self.ends[-1] = min(self.ends[-1], time)
-            if self.ends[-1] >= time - 1e-12 and np.array_equal(self.twists[-1], twist):
-                self.ends[-1] = time + self.timeout
+        rows = self._rows
+        if rows:
+            rows[-7] = min(rows[-7], time)
+            if rows[-7] >= time - 1e-12 and rows[-6:].tolist() == twist.tolist():
+                rows[-7] = time + self._timeout
                 return
-        self.begins.append(time)
-        self.ends.append(time + self.timeout)
-        self.twists.append(twist)
+        rows.extend((time, time + self._timeout, *twist.tolist()))
 
     def at(self, times: Array) -> Array:
         """Return the twists (k, 6) at times (k,); zero where none held."""
-        if not self.begins:
+        if not self._rows:
             return np.zeros((len(times), 6))
-        index = np.searchsorted(self.begins, times, side='right') - 1
-        holds = (index >= 0) & (times < np.array(self.ends)[index])
-        return np.where(holds[:, None], np.array(self.twists)[index], 0.0)
+        rows = np.frombuffer(self._rows).reshape(-1, 8)
+        index = np.searchsorted(rows[:, 0], times, side='right') - 1
+        holds = (index >= 0) & (times < rows[index, 1])
+        return np.where(holds[:, None], rows[index, 2:], 0.0)
+
+
+class _Scenes:
+    """How the obstacles stood from when on, every second time dropped when it is too much."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.kept: list[tuple[float, Scene]] = [(0.0, scene)]
+        self._stride, self._seen = 1, 0
+
+    def add(self, time: float, scene: Scene) -> None:
+        if scene is self.kept[-1][1]:
+            return
+        self._seen += 1
+        if self._seen % self._stride == 0:
+            self.kept.append((time, scene))
+        if (len(scene.names) + 1) * len(self.kept) > _OBSTACLES:
+            self.kept[1:] = self.kept[2::2]
+            self._stride *= 2
 
 
 def analyse(
@@ -344,7 +361,7 @@ def analyse(
         if source is None:
             raise RecordingError(
                 f"'{path}' has neither joint_states nor joint_command; it has "
-                f'{", ".join(sorted(bag.topics)) or "no topics"}')
+                f'{", ".join((*sorted(bag.topics), *bag.problems)) or "no topics"}')
         if source == 'joint_command':
             notes.append('no joint_states: the commanded motion is shown')
         for topic, what in (('cmd_vel', 'no commanded path, no twist scale'),
@@ -362,7 +379,7 @@ def _analyse(
     static = [obstacle_of(name, entry)
               for name, entry in (values.get('static_obstacle') or {}).items()]
     book = ObstacleBook(static, (), transform=as_it_is)
-    scenes: list[tuple[float, Scene]] = [(0.0, book.scene)]
+    scenes = _Scenes(book.scene)
     commands = _Commands(float(values.get('incoming_command_timeout', _COMMAND_TIMEOUT)))
     clearances = _Clearances(robot) if robot is not None else None
     names: tuple[str, ...] = ()
@@ -380,8 +397,7 @@ def _analyse(
             elif item.topic == 'obstacles':
                 book.update(item.raw, item.arrival)
                 book.expire(item.arrival)
-                if book.scene is not scenes[-1][1] and len(scenes) < _SCENES:
-                    scenes.append((item.arrival, book.scene))
+                scenes.add(item.arrival, book.scene)
             else:
                 factor += _factors(item)
             continue
@@ -422,7 +438,7 @@ def _analyse(
     intervals = np.concatenate(periods) if periods else np.empty(0, np.float32)
     return Analysis(
         bag.path.name, robot, names, sums.samples, sums.begin_time, sums.end_time,
-        sums.measures(), _curves(robot, thinned.rows(), commands, scenes, values),
+        sums.measures(), _curves(robot, thinned.rows(), commands, scenes.kept),
         clearances.smallest if clearances is not None else None,
         clearances.distance if clearances is not None else np.inf,
         _periods(intervals), np.array(factor).reshape(-1, 2), tuple(dict.fromkeys(notes)))
@@ -452,7 +468,6 @@ def _factors(item: Event) -> list[tuple[float, float]]:
 
 def _curves(
     robot: Robot | None, rows: Array, commands: _Commands, scenes: list[tuple[float, Scene]],
-    values: dict[str, Any],
 ) -> Curves:
     n = (rows.shape[1] - 2) // 3
     times, q, dq, ddq = rows[:, 0], rows[:, 1:1 + n], rows[:, 1 + n:1 + 2 * n], rows[:, -1 - n:-1]

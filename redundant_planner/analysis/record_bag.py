@@ -27,8 +27,9 @@ from redundant_planner.nodes.process import best_executor, keep_off_shared_memor
 TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'cmd_vel_preview', 'obstacles',
           'robot_description', '~/configuration', '~/ticks', '~/markers', '/diagnostics')
 _DEPTH = 5000
-# How often the recorder looks for topics that have appeared [s].
+# How often the recorder looks for topics that have appeared, and hands the system what it has [s].
 _LOOK = 0.1
+_FLUSH = 1.0
 
 
 class Recorder:
@@ -105,12 +106,15 @@ def record(folder: Path, planner: str, extra: list[str], duration: float | None)
         with BagWriter(folder) as writer:
             recorder = Recorder(node, writer, names)
             begin = time.monotonic()
-            looked = -_LOOK
+            looked, flushed = -_LOOK, begin
             while not stopped and (duration is None or time.monotonic() - begin < duration):
                 now = time.monotonic()
                 if now - looked >= _LOOK and len(recorder.counts) < len(names):
                     recorder.look()
                     looked = now
+                if now - flushed >= _FLUSH:
+                    writer.flush()
+                    flushed = now
                 executor.spin_once(timeout_sec=_LOOK)
     finally:
         node.destroy_node()

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import ReaderError, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import get_typestore, Stores
 
 from redundant_planner.core.errors import known, PlannerError
@@ -27,6 +28,15 @@ Array = npt.NDArray[np.float64]
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 _JOINT_STATE = 'sensor_msgs/msg/JointState'
+_STRING = 'std_msgs/msg/String'
+# What the topics that are read must hold.
+_EXPECTED = {
+    'joint_states': (_JOINT_STATE,), 'joint_command': (_JOINT_STATE,),
+    'cmd_vel': ('geometry_msgs/msg/Twist', 'geometry_msgs/msg/TwistStamped'),
+    'cmd_vel_preview': ('trajectory_msgs/msg/MultiDOFJointTrajectory',),
+    'obstacles': ('visualization_msgs/msg/MarkerArray',), 'robot_description': (_STRING,),
+    'configuration': (_STRING,), 'ticks': ('std_msgs/msg/Float64MultiArray',),
+    'diagnostics': ('diagnostic_msgs/msg/DiagnosticArray',)}
 # Messages of a joint topic that are taken together.
 _CHUNK = 4096
 _MAGIC = b'\x89MCAP0\r\n'
@@ -77,6 +87,16 @@ class BagWriter:
     def write(self, topic: str, time_ns: int, message: bytes) -> None:
         """Append a CDR-serialised message received at `time_ns`."""
         self._writer.write(self._connections[topic], time_ns, message)
+
+    def flush(self) -> None:
+        """Hand what was written to the system: it survives the process's sudden end.
+
+        Otherwise it waits for a chunk to be full, which at a low rate takes minutes.
+        """
+        storage = self._writer.storage
+        if isinstance(storage, McapWriter) and storage.chunk.msgs:
+            storage.close_chunk()
+            storage.bio.flush()
 
     def write_joints(
         self, topic: str, time_ns: int, names: Sequence[str], positions: Array,
@@ -235,24 +255,38 @@ def open_bag(path: Path, namespace: str = '') -> Iterator[Bag]:
             raise RecordingError(f"'{path}' is not a readable bag: {error}") from None
         if not reader.message_count:
             raise RecordingError(f"'{path}' holds no messages")
-        bag = Bag(reader, path, _chosen_topics(path, reader, namespace))
+        topics, problems = _chosen_topics(path, reader, namespace)
+        bag = Bag(reader, path, topics)
+        bag.problems += problems
         if whole is not path:
             bag.problems.append('the bag was not closed: what the recorder had written is there')
         yield bag
 
 
-def _chosen_topics(path: Path, reader: AnyReader, namespace: str) -> dict[str, Connection]:
-    """Return the connections by the last part of their names, of one namespace."""
+def _chosen_topics(
+    path: Path, reader: AnyReader, namespace: str,
+) -> tuple[dict[str, Connection], list[str]]:
+    """Return the connections by the last part of their names, of one namespace.
+
+    Also a sentence about each that holds something else than its name says.
+    """
     topics: dict[str, Connection] = {}
+    problems = []
     prefix = f'/{namespace.strip("/")}/' if namespace.strip('/') else '/'
     for connection in sorted(reader.connections, key=lambda c: c.topic.count('/')):
         short = connection.topic.rsplit('/', 1)[-1]
-        if connection.topic.startswith(prefix) or short == 'diagnostics':
+        if not connection.topic.startswith(prefix) and short != 'diagnostics':
+            continue
+        expected = _EXPECTED.get(short, (connection.msgtype,))
+        if connection.msgtype in expected:
             topics.setdefault(short, connection)
-    if namespace and not topics:
+        else:
+            problems.append(f"'{connection.topic}' is {connection.msgtype}; it must be "
+                            f'{" or ".join(expected)}')
+    if namespace and not topics and not problems:
         raise RecordingError(f"'{path}' has no topics in namespace '{namespace}'; it has "
                              f'{known(sorted({c.topic for c in reader.connections}))}')
-    return topics
+    return topics, problems
 
 
 def _mcap_file(path: Path) -> Path | None:

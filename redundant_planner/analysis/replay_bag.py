@@ -144,13 +144,16 @@ def again(inputs: Inputs, parameters: PlannerParameters) -> Replay:
     Raises:
         RecordingError: the ticks were not recorded from their beginning.
     """
-    first = next((i for i, (_, tick) in enumerate(inputs.ticks)
-                  if tick.kind == TickKind.STARTING), None)
-    if first is None:
-        raise RecordingError('the bag has no start of a motion on ticks; record from before the '
-                             'planner starts, or after a reset')
-    rows = _rows(inputs, parameters, inputs.ticks[first:], measured=True)
-    return rows
+    return _rows(inputs, parameters, inputs.ticks[_first_start(inputs):], measured=True)
+
+
+def _first_start(inputs: Inputs) -> int:
+    """Return the first tick whose past does not matter."""
+    for i, (_, tick) in enumerate(inputs.ticks):
+        if tick.kind == TickKind.STARTING:
+            return i
+    raise RecordingError('the bag has no start of a motion on ticks; record from before the '
+                         'planner starts, or after a reset')
 
 
 def otherwise(inputs: Inputs, parameters: PlannerParameters) -> Replay:
@@ -319,15 +322,14 @@ def _plain(parameters: PlannerParameters) -> dict[str, Any]:
 
 
 def _difference(inputs: Inputs, replay: Replay) -> str:
-    """Say how far the replayed commands are from the recorded ones."""
-    commands, again_ = inputs.commands, replay.velocities
-    if len(commands) < len(again_):
-        return (f'{len(again_)} ticks, but {len(commands)} recorded commands: some were lost, '
-                'they cannot be compared')
-    # The recording of commands may have begun before that of the first start.
-    commands = commands[len(commands) - len(again_):]
-    return (f'{len(again_)} ticks, largest difference to the recorded commands '
-            f'{float(np.abs(commands - again_).max()):.3g}')
+    """Say how far the replayed commands are from the recorded ones, one for every tick."""
+    first, count = _first_start(inputs), len(replay.velocities)
+    commands = inputs.commands[first:first + count]
+    if abs(len(inputs.commands) - len(inputs.ticks)) > 1:
+        return (f'{len(inputs.ticks)} ticks, but {len(inputs.commands)} recorded commands: some '
+                'were lost, and which cannot be told')
+    largest = float(np.abs(commands - replay.velocities[:len(commands)]).max())
+    return f'{count} ticks, largest difference to the recorded commands {largest:.3g}'
 
 
 if __name__ == '__main__':

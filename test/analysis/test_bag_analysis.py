@@ -1,0 +1,214 @@
+"""What is measured in a bag is what the run that made it computed."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+from bags import KINDS, ns, paper_motion, SCENARIO, write
+from conftest import PANDA_URDF
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.typesys import get_typestore, Stores
+from sensor_msgs.msg import JointState
+
+from redundant_planner.analysis import metrics
+from redundant_planner.analysis.analyze_bag import main as analyze_bag
+from redundant_planner.analysis.bag_analysis import analyse, reduction
+from redundant_planner.analysis.recording import BagWriter, open_bag, RecordingError, repair
+
+
+@pytest.fixture(scope='module')
+def recorded(tmp_path_factory):
+    robot, parameters, motion = paper_motion()
+    return write(tmp_path_factory.mktemp('bags') / 'run', robot, parameters, motion), robot, motion
+
+
+def test_the_measures_are_those_of_the_run(recorded):
+    path, robot, motion = recorded
+    found = analyse(path)
+    q, dq, count = motion.positions[:-1], motion.velocities, len(motion.velocities)
+    assert found.joint_names == robot.joint_names and found.samples == count
+    assert found.notes == ()
+    joints = found.joints
+    np.testing.assert_allclose(joints.displacement, np.abs(q[-1] - q[0]), atol=1e-9)
+    np.testing.assert_allclose(joints.path, metrics.joint_path(q), atol=1e-9)
+    assert joints.effort.sum() == pytest.approx(
+        metrics.effort(dq, 0.004 * np.arange(count)), rel=1e-6)
+    np.testing.assert_allclose(joints.peak_velocity, np.abs(dq).max(axis=0), atol=1e-12)
+    np.testing.assert_allclose(joints.initial_velocity, np.abs(dq[0]), atol=1e-12)
+    np.testing.assert_allclose(joints.velocity_change, np.abs(dq[-1] - dq[0]), atol=1e-12)
+    ddq = np.diff(dq, axis=0) / 0.004
+    np.testing.assert_allclose(joints.peak_acceleration, np.abs(ddq).max(axis=0), rtol=1e-3)
+    np.testing.assert_allclose(
+        joints.acceleration_change, np.abs(ddq[-1] - ddq[0]), rtol=1e-3, atol=1e-4)
+
+    expected = metrics.smallest_clearance(robot, q, SCENARIO.obstacles)
+    assert found.clearance.level == pytest.approx(expected.level, abs=1e-9)
+    assert found.clearance.link == expected.link and found.clearance.sample == expected.sample
+    assert found.clearance.obstacle == 'ellipsoid/0'
+    curves = found.curves
+    np.testing.assert_allclose(curves.positions, q, atol=1e-12)
+    np.testing.assert_allclose(curves.tips, metrics.tip_positions(robot, q), atol=1e-9)
+    assert np.nanmax(curves.path_error) < 1e-4
+    assert curves.scale[-1] == pytest.approx(motion.results[-1].scale, abs=1e-2)
+    assert found.periods.median == pytest.approx(0.004, abs=1e-6)
+
+
+def test_a_part_is_measured_as_if_it_were_all(recorded):
+    path, _, motion = recorded
+    part = analyse(path, begin=0.2 - 1e-6, end=0.6 - 1e-6)
+    assert part.samples == 100
+    np.testing.assert_allclose(part.curves.positions, motion.positions[50:150], atol=1e-12)
+
+
+def test_two_runs_are_compared_joint_by_joint(recorded, tmp_path, capsys):
+    path, robot, motion = recorded
+    _, parameters, other = paper_motion(method='variational')
+    second = write(tmp_path / 'other', robot, parameters, other)
+    out = tmp_path / 'both.json'
+    assert analyze_bag([str(path), str(second), '--json', str(out)]) == 0
+    content = json.loads(out.read_text())
+    base, improved = (metrics.joint_path(m.positions[:-1]) for m in (motion, other))
+    for i, name in enumerate(robot.joint_names):
+        value = content['reductions']['other'][name]['path']
+        if base[i] > 1e-9:
+            assert value == pytest.approx(100.0 * (base[i] - improved[i]) / base[i], abs=1e-6)
+        else:
+            assert np.isnan(value)
+    assert 'reductions (%)' in capsys.readouterr().out
+    np.testing.assert_allclose(reduction(np.array([2.0, 0.0]), np.array([1.0, 1.0])),
+                               [50.0, np.nan])
+
+
+def test_csv_has_the_curves(recorded, tmp_path):
+    path, _, motion = recorded
+    assert analyze_bag([str(path), '--csv', str(tmp_path / 'c.csv')]) == 0
+    with (tmp_path / 'c.csv').open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(motion.velocities)
+    assert float(rows[7]['position.theta4']) == pytest.approx(motion.positions[7, 3])
+    assert float(rows[7]['distance']) > 0.0
+
+
+@pytest.mark.parametrize('storage', ['sqlite3', 'mcap'])
+@pytest.mark.parametrize('mode', ['none', 'file', 'message', 'storage'])
+def test_bags_of_either_storage_and_any_compression(tmp_path, storage, mode):
+    """As `ros2 bag record` writes them, with nothing but joint_states."""
+    if (storage == 'mcap') != (mode == 'storage') and mode == 'storage':
+        pytest.skip('sqlite3 has no compression of its own')
+    types = get_typestore(Stores.ROS2_JAZZY)
+    plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
+    writer = Writer(tmp_path / 'bag', version=9, storage_plugin=plugin)
+    if mode != 'none':
+        writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection('/arm/joint_states', KINDS['joint_states'],
+                                           typestore=types)
+        for i in range(50):
+            state = JointState(name=['a', 'b'], position=[0.1 * i, -0.2 * i])
+            writer.write(connection, ns(0.01 * i), serialize_message(state))
+    found = analyse(tmp_path / 'bag', namespace='/arm')
+    np.testing.assert_allclose(found.joints.path, [4.9, 9.8])
+    # No stamps and no velocities: arrival times, and slopes between the samples.
+    np.testing.assert_allclose(found.joints.peak_velocity, [10.0, 20.0], rtol=1e-6)
+    assert any('no robot' in note for note in found.notes)
+    with pytest.raises(RecordingError, match="no topics in namespace 'leg'"):
+        analyse(tmp_path / 'bag', namespace='leg')
+
+
+def test_a_bag_whose_recorder_was_killed_is_read_as_far_as_it_goes(recorded, tmp_path):
+    path, *_ = recorded
+    whole = next(path.glob('*.mcap')).read_bytes()
+    folder = tmp_path / 'killed'
+    folder.mkdir()
+    file = folder / 'killed_0.mcap'
+    # In the middle of the chunk of messages, without index and metadata.
+    file.write_bytes(whole[:-len(whole) // 50])
+    found = analyse(folder)
+    assert any('was not closed' in note for note in found.notes)
+    assert found.samples > 200
+    before = file.read_bytes()
+    assert before == whole[:-len(whole) // 50]
+    assert repair(folder) and not repair(folder)
+    assert analyse(file).notes == ()
+
+
+@pytest.mark.parametrize(('topics', 'note'), [
+    (('joint_states',), 'no robot'),
+    (('joint_states', 'planner_node/configuration'), 'no cmd_vel'),
+    (('joint_command', 'planner_node/configuration'), 'no joint_states: the commanded motion')])
+def test_what_is_missing_is_said_and_the_rest_is_shown(tmp_path, topics, note, capsys):
+    path = write(tmp_path / 'part', *paper_motion(0.2), topics)
+    assert analyze_bag([str(path), '--json', str(tmp_path / 'a.json')]) == 0
+    assert note in capsys.readouterr().out.replace('\n', ' ')
+    content = json.loads((tmp_path / 'a.json').read_text())['bags'][0]
+    assert content['joints']['theta4']['path'] > 0.0
+
+
+def test_bad_bags_end_in_one_line(recorded, tmp_path, capsys):
+    path, *_ = recorded
+    empty = tmp_path / 'empty'
+    with BagWriter(empty) as bag:
+        bag.add_topic('/joint_states', KINDS['joint_states'])
+    wrong = tmp_path / 'wrong'
+    with BagWriter(wrong) as bag:
+        bag.add_topic('/joint_states', KINDS['cmd_vel'])
+        bag.write_twist('/joint_states', ns(0.0), np.zeros(6))
+    garbage = tmp_path / 'garbage.mcap'
+    garbage.write_bytes(b'no bag at all' * 100)
+    other = tmp_path / 'other'
+    other.mkdir()
+    strange = tmp_path / 'strange'
+    with BagWriter(strange) as bag:
+        bag.add_topic('/cmd_vel', KINDS['cmd_vel'])
+        bag.write_twist('/cmd_vel', ns(0.0), np.zeros(6))
+    for bag, message in ((empty, 'holds no messages'), (garbage, 'not a readable bag'),
+                         (other, 'not a readable bag'), (tmp_path / 'gone', 'no such file'),
+                         (strange, 'neither joint_states nor joint_command'),
+                         (wrong, "'/joint_states' is geometry_msgs/msg/Twist")):
+        assert analyze_bag([str(bag)]) == 2
+        error = capsys.readouterr().err
+        assert message in error and 'Traceback' not in error, error
+    for arguments, message in ((['--urdf', '/no.urdf'], 'is not a file'),
+                               (['--params', '/no.yaml'], 'is not a file'),
+                               (['--urdf', str(PANDA_URDF)], 'were not recorded'),
+                               (['--begin', '3', '--end', '2'], 'must lie before'),
+                               (['--begin', '300'], 'has no joint_states between')):
+        assert analyze_bag([str(path), *arguments]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_time_that_goes_backwards_and_strange_numbers_are_mentioned(tmp_path):
+    path = tmp_path / 'odd'
+    with BagWriter(path) as bag:
+        bag.add_topic('/joint_states', KINDS['joint_states'])
+        for i, stamp in enumerate((0.0, 0.01, 0.005, 0.02, 0.03)):
+            state = JointState(name=['a'], position=[0.1 * i], velocity=[1.0])
+            state.header.stamp.sec = ns(stamp) // 10**9
+            state.header.stamp.nanosec = ns(stamp) % 10**9
+            bag.write('/joint_states', ns(0.01 * i), serialize_message(state))
+        bad = JointState(name=['a'], position=[np.nan], velocity=[1.0])
+        bag.write('/joint_states', ns(0.05), serialize_message(bad))
+        bag.write('/joint_states', ns(0.06), serialize_message(
+            JointState(name=['b'], position=[1.0], velocity=[1.0])))
+    notes = ' '.join(analyse(path).notes)
+    for what in ('time goes backwards 1 times', '1 joint states with numbers that are not finite',
+                 '1 joint states of other joints'):
+        assert what in notes
+
+
+def test_reading_does_not_hold_the_bag(recorded):
+    """Chunks end where the order counts, and otherwise only when they are full."""
+    path, *_ = recorded
+    with open_bag(path) as bag:
+        assert bag.topics['joint_states'] == 250
+        sizes = [len(item.stamps) for item in bag.read(('joint_states', 'cmd_vel'), order=())
+                 if hasattr(item, 'stamps')]
+        assert sizes == [250]
+        sizes = [len(item.stamps) for item in bag.read(('joint_states', 'cmd_vel'))
+                 if hasattr(item, 'stamps')]
+        assert max(sizes) == 1

@@ -1,0 +1,89 @@
+"""A bag is run again: with its own parameters to the last digit, with others to compare."""
+
+from __future__ import annotations
+
+from bags import DT, paper_motion, SCENARIO, write
+import numpy as np
+import pytest
+
+from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.analysis.live import play
+from redundant_planner.analysis.recording import open_bag, read_recording
+from redundant_planner.analysis.replay_bag import again, main as replay_bag, otherwise, read_inputs
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.resources import share_directory
+from redundant_planner.robot_parameters import settings_of
+
+PAPER = share_directory() / 'config' / 'scenarios' / 'paper.yaml'
+
+
+@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
+def test_a_live_run_with_its_ticks_is_repeated_exactly(tmp_path, method, capfd):
+    """Topics, ages, obstacles, preview: every input of every tick is in the bag."""
+    bag = tmp_path / 'live'
+    play(SCENARIO, PAPER, bag, domain_id=106,
+         planner_values={'publish_ticks': True, 'method': method})
+    with open_bag(bag) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert inputs.notes == [] and len(inputs.ticks) > 500
+    parameters = settings_of(PlannerParameters, inputs.values)
+    assert parameters.method == method
+    replay = again(inputs, parameters)
+    count = min(len(replay.velocities), len(inputs.commands))
+    assert count > 500 and np.abs(replay.velocities).max() > 0.01
+    np.testing.assert_allclose(replay.velocities[:count], inputs.commands[:count], atol=1e-9)
+    assert replay_bag([str(bag), '--out', str(tmp_path / 'again')]) == 0
+    assert 'largest difference to the recorded commands 0' in capfd.readouterr().out
+
+
+def test_without_ticks_the_motion_is_simulated_from_the_first_state(tmp_path):
+    robot, parameters, motion = paper_motion()
+    path = write(tmp_path / 'run', robot, parameters, motion)
+    with open_bag(path) as opened:
+        replay = otherwise(read_inputs(opened, None, '', ''), parameters)
+    count = len(replay.velocities)
+    assert count == pytest.approx(len(motion.velocities), abs=2)
+    np.testing.assert_allclose(replay.positions, motion.positions[:count], atol=1e-9)
+
+
+def test_another_method_makes_another_bag_that_can_be_compared(tmp_path, capsys):
+    path = write(tmp_path / 'run', *paper_motion())
+    assert replay_bag([str(path), '--method', 'gradient_projection']) == 0
+    assert "'gradient_projection' from the first joint state on" in capsys.readouterr().out
+    other = analyse(tmp_path / 'run_replay')
+    base = analyse(path)
+    assert other.robot is not None and other.joint_names == base.joint_names
+    assert other.clearance is not None and other.clearance.level > 0.0
+    assert np.nanmax(other.curves.path_error) < 1e-3
+    assert not np.allclose(other.joints.path, base.joints.path, atol=1e-4)
+    assert other.periods.median == pytest.approx(DT, abs=1e-6)
+    # The new bag says what it was made with, and is a recording like any other.
+    with open_bag(tmp_path / 'run_replay') as opened:
+        values = read_inputs(opened, None, '', '').values
+    assert values['method'] == 'gradient_projection'
+    assert len(read_recording(tmp_path / 'run_replay').twists) > 10
+
+
+def test_a_parameter_file_changes_some(tmp_path):
+    path = write(tmp_path / 'run', *paper_motion(0.2))
+    file = tmp_path / 'slow.yaml'
+    file.write_text('/**: {ros__parameters: {linear_speed_max: 0.01}}')
+    assert replay_bag([str(path), '--params', str(file), '--out', str(tmp_path / 'slow')]) == 0
+    slow, fast = analyse(tmp_path / 'slow'), analyse(path)
+    assert slow.joints.path.sum() < 0.5 * fast.joints.path.sum()
+
+
+def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path, capsys):
+    path = write(tmp_path / 'run', *paper_motion(0.1))
+    bare = write(tmp_path / 'bare', *paper_motion(0.1), ('joint_states',))
+    stateless = write(tmp_path / 'stateless', *paper_motion(0.1), (
+        'joint_command', 'planner_node/configuration'))
+    (tmp_path / 'bad.yaml').write_text('/**: {ros__parameters: {k_alpha: much}}')
+    for arguments, message in (
+            ([bare], 'no robot'), ([stateless], 'no messages on joint_states'),
+            ([tmp_path / 'gone'], 'no such file'), ([path, '--out', path], 'exists already'),
+            ([path, '--params', tmp_path / 'no.yaml'], 'is not a file'),
+            ([path, '--params', tmp_path / 'bad.yaml'], "'k_alpha' is 'much'")):
+        assert replay_bag([str(a) for a in arguments]) == 2
+        error = capsys.readouterr().err
+        assert message in error and 'Traceback' not in error, error
