@@ -15,9 +15,11 @@ from rich.console import Console
 from rich.table import Table
 
 from redundant_planner.analysis import metrics
+from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.figures import motion_picture
 from redundant_planner.analysis.live import LiveRun, play
 from redundant_planner.analysis.recording import JointLog, read_recording, Recording
+from redundant_planner.analysis.report import write_report
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.robot import Robot
 from redundant_planner.resources import resolve
@@ -133,7 +135,8 @@ def main(args: list[str] | None = None) -> int:
         states = summary.states
         motion_picture(picture, robot, states.times - states.times[0], states.positions,
                        states.velocities, recording.obstacles, f"'{scenario.name}', live")
-        console.print(f'picture: {picture}\nbag:     {bag}')
+        report = write_report(options.out / 'report', [analyse(bag)])
+        console.print(f'picture: {picture}\nbag:     {bag}\nreport:  {report}')
     except PlannerError as error:
         print(f'demo: {error}', file=sys.stderr)
         return 2

@@ -115,7 +115,7 @@ BAGS.forEach((bag, index) => {
     {type: 'scatter3d', mode: 'lines', x: px, y: py, z: pz, line: {color: '#2a9d8f', width: 4},
      hoverinfo: 'skip'}],
     {margin: {l: 0, r: 0, t: 0, b: 0}, showlegend: false, uirevision: 'same',
-     scene: {aspectmode: 'cube', camera: {eye: {x: 1.5, y: -1.3, z: 0.7}},
+     scene: {aspectmode: 'cube', camera: {eye: {x: 1.3, y: -1.15, z: 0.5}},
              xaxis: {title: {text: 'x [m]'}, range: view.range[0]},
              yaxis: {title: {text: 'y [m]'}, range: view.range[1]},
              zaxis: {title: {text: 'z [m]'}, range: view.range[2]}}}, options);
@@ -281,20 +281,24 @@ def _view(analysis: Analysis) -> dict[str, Any]:
         for starts, ends in zip(arms.segment_start, arms.segment_end)])
     chains = np.array([np.vstack((np.zeros(3), robot.joint_points(q)))
                        for q in curves.positions[chosen]])
+    shown = [obstacles_at(curves, float(time)) for time in curves.times[chosen]]
+    most = max(len(obstacles) for obstacles in shown)
     scenes: list[str] = []
     which: list[int] = []
     extents = [chains.reshape(-1, 3)]
-    for time in curves.times[chosen]:
-        obstacles = obstacles_at(curves, float(time))
-        grids = [_ellipsoid(o.center, o.semi_axes, o.rotation) for o in obstacles]
-        packed = _packed(np.concatenate(grids) if grids else np.zeros((0, 3)))
+    for obstacles in shown:
+        # As many in every scene: those that are missing are points at the origin.
+        grids = np.zeros((most, _BALL_RIBS * _BALL_SIDES, 3))
+        for i, obstacle in enumerate(obstacles):
+            grids[i] = _ellipsoid(obstacle.center, obstacle.semi_axes, obstacle.rotation)
+        packed = _packed(grids)
         if packed not in scenes:
             scenes.append(packed)
-            extents += grids
+            extents += list(grids[:len(obstacles)])
         which.append(scenes.index(packed))
     extent = np.vstack(extents)
     middle = 0.5 * (extent.min(axis=0) + extent.max(axis=0))
-    half = 0.55 * float((extent.max(axis=0) - extent.min(axis=0)).max()) + 0.05
+    half = 0.5 * float((extent.max(axis=0) - extent.min(axis=0)).max()) + 0.05
     return {
         'times': np.round(curves.times[chosen] - curves.times[0], 4).tolist(),
         'vertices': _packed(surfaces), 'capsules': len(radii), 'grid': [_RIBS, _SIDES],

@@ -42,6 +42,7 @@ def test_it_ends_by_itself_and_leaves_a_report_and_nothing_else(tmp_path):
         assert text in out
     assert (tmp_path / 'out' / 'paper.png').stat().st_size > 20_000
     assert list((tmp_path / 'out' / 'paper').glob('*.mcap'))
+    assert (tmp_path / 'out' / 'report' / 'report.html').stat().st_size < 8_000_000
     assert not children_of(marker)
 
 
