@@ -417,7 +417,7 @@ def _analyse(
             continue
         book.expire(float(item.arrivals[0]))
         q, dq = item.positions[:, columns], item.velocities[:, columns]
-        fine = np.isfinite(q).all(axis=1)
+        fine = np.asarray(np.isfinite(q).all(axis=1))
         if not fine.all():
             notes.append(f'{int((~fine).sum())} joint states with numbers that are not finite')
             item = _selected(item, fine)
@@ -471,8 +471,9 @@ def _curves(
 ) -> Curves:
     n = (rows.shape[1] - 2) // 3
     times, q, dq, ddq = rows[:, 0], rows[:, 1:1 + n], rows[:, 1 + n:1 + 2 * n], rows[:, -1 - n:-1]
-    unknown = np.full(len(rows), np.nan)
-    scale, tips, error = unknown, np.full((len(rows), 3), np.nan), unknown
+    scale: Array = np.full(len(rows), np.nan)
+    error: Array = scale
+    tips: Array = np.full((len(rows), 3), np.nan)
     if robot is not None:
         twists = commands.at(times)
         arms = robot.kinematics_along(q)
@@ -501,10 +502,8 @@ def path_errors(
         twists: (k, 6) in the command frame.
         tips, rotations: (k, 3) and (k, 3, 3) of the tip.
     """
-    moving = twists.any(axis=1)
+    moving = np.asarray(twists.any(axis=1))
     errors = np.full(len(times), np.nan)
-    path = np.empty((0, 3))
-    at = 0
     begins = np.flatnonzero(moving & ~np.concatenate(((False,), moving[:-1])))
     for begin, after in zip(begins, (*begins[1:], len(times))):
         pose = Pose(tips[begin], rotations[begin])
@@ -515,7 +514,8 @@ def path_errors(
             pose = drift.integrate(
                 pose, twists[i], max(float(times[i + 1] - times[i]), 0.0), robot.command_frame)
             points.append(pose.position)
-        path, at = np.array(points), 0
+        path: Array = np.array(points)
+        at = 0
         for i in range(begin, after):
             low, high = max(at - _BEHIND, 0), min(at + _AHEAD, len(path))
             window = path[low:high]

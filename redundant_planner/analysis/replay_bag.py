@@ -195,7 +195,8 @@ def _rows(
     book = ObstacleBook(static, (), transform=as_it_is, estimate_velocity=bool(
         values.get('estimate_obstacle_velocity', False)))
     dt = 1.0 / int(values.get('rate', _RATE))
-    q, dq = inputs.start, np.zeros(robot.n)
+    q: Array = inputs.start
+    dq: Array = np.zeros(robot.n)
     if ticks and measured is False and inputs.ticks:
         q = ticks[0][1].q
     applied = 0

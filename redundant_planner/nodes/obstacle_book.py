@@ -176,8 +176,8 @@ class ObstacleBook:
         types = markers.types[places]
         shaped = np.isin(types, list(_ENCLOSING))
         scales = markers.scales[places]
-        sized = (np.isfinite(scales) & (scales > 0.0)).all(axis=1)
-        placed = np.isfinite(markers.positions[places]).all(axis=1)
+        sized = np.asarray((np.isfinite(scales) & (scales > 0.0)).all(axis=1))
+        placed = np.asarray(np.isfinite(markers.positions[places]).all(axis=1))
         norms = np.linalg.norm(markers.quaternions[places], axis=1)
         turned = np.abs(norms - 1.0) <= _QUATERNION_TOLERANCE
         good = shaped & sized & placed & turned
