@@ -14,7 +14,9 @@ from redundant_planner.core.errors import StateError
 
 Array = npt.NDArray[np.float64]
 
-_HEAD = 5 + 6
+# A stamp in nanoseconds is more than a float holds: seconds and nanoseconds apart are not.
+_BILLION = 10**9
+_HEAD = 7 + 6
 
 
 class TickKind(IntEnum):
@@ -29,6 +31,7 @@ class RecordedTick(NamedTuple):
     """The inputs of a tick.
 
     Attributes:
+        stamp_ns: of the joint_command that came of it.
         time: the loop's clock, which lifetimes of obstacles refer to [s].
         kind: what it did.
         obstacle_messages, preview_messages: how many had been taken in before the tick.
@@ -37,6 +40,7 @@ class RecordedTick(NamedTuple):
         q: (n,) measured posture [rad, m].
     """
 
+    stamp_ns: int
     time: float
     kind: TickKind
     obstacle_messages: int
@@ -48,8 +52,8 @@ class RecordedTick(NamedTuple):
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
         return array.array('d', np.concatenate((
-            (self.time, self.kind, self.obstacle_messages, self.preview_messages,
-             self.preview_elapsed), self.twist, self.q)).tobytes())
+            (*divmod(self.stamp_ns, _BILLION), self.time, self.kind, self.obstacle_messages,
+             self.preview_messages, self.preview_elapsed), self.twist, self.q)).tobytes())
 
     @classmethod
     def of(cls, numbers: Sequence[float]) -> RecordedTick:
@@ -61,5 +65,5 @@ class RecordedTick(NamedTuple):
         row = np.array(numbers, dtype=float)
         if row.ndim != 1 or len(row) <= _HEAD:
             raise StateError(f'a recorded tick has {row.size} numbers; it takes more than {_HEAD}')
-        return cls(float(row[0]), TickKind(int(row[1])), int(row[2]), int(row[3]), float(row[4]),
-                   row[5:_HEAD], row[_HEAD:])
+        return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
+                   int(row[4]), int(row[5]), float(row[6]), row[7:_HEAD], row[_HEAD:])

@@ -92,3 +92,15 @@ def central_difference(function, q: np.ndarray, step: float = 1e-6) -> np.ndarra
     """∂function/∂q by central differences; the last axis runs over q."""
     return np.stack([(np.asarray(function(q + step * e)) - np.asarray(function(q - step * e)))
                      / (2.0 * step) for e in np.eye(len(q))], axis=-1)
+
+
+@pytest.fixture(scope='session')
+def paper_runs(tmp_path_factory):
+    """The paper's scenario played live with two methods, every tick recorded; method → bag."""
+    from redundant_planner.analysis.live import play
+    from redundant_planner.scenario import load_scenario
+    file = share_directory() / 'config' / 'scenarios' / 'paper.yaml'
+    folder = tmp_path_factory.mktemp('paper_runs')
+    return {method: play(load_scenario(file), file, folder / method, domain_id=103 + i,
+                         planner_values={'publish_ticks': True, 'method': method}).bag
+            for i, method in enumerate(('dynamic_factor', 'variational'))}

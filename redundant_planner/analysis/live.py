@@ -41,7 +41,7 @@ _TOPICS = {
     'planner_node/ticks': (Float64MultiArray, 'std_msgs/msg/Float64MultiArray'),
     'diagnostics': (DiagnosticArray, 'diagnostic_msgs/msg/DiagnosticArray'),
 }
-_LATCHED = ('robot_description', 'planner_node/configuration')
+_LATCHED = ('robot_description', 'planner_node/configuration', 'planner_node/ticks')
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
 # How long processes get to start, and to end [s].
 _START_PATIENCE = 30.0

@@ -65,7 +65,7 @@ class Nearest(NamedTuple):
 
 
 class _Near(NamedTuple):
-    """The pairs of links and obstacles that could act in a tick.
+    """The pairs of links and obstacles that count in a tick.
 
     Attributes:
         links, obstacles: (p,) indices.
@@ -73,6 +73,7 @@ class _Near(NamedTuple):
         distance: (p,) not more than the true distance [m].
         gradient: (p, n) ∂ρ/∂q.
         rate: (p,) ∂ρ/∂t from the obstacles' own motion [1/s].
+        acts: (p,) whether the pair's barrier could act in this tick.
     """
 
     links: npt.NDArray[np.intp]
@@ -81,6 +82,13 @@ class _Near(NamedTuple):
     distance: Array
     gradient: Array
     rate: Array
+    acts: npt.NDArray[np.bool_]
+
+    def acting(self) -> _Near:
+        """Return those whose barrier could act."""
+        acts = self.acts
+        return _Near(self.links[acts], self.obstacles[acts], self.clearance[acts],
+                     self.distance[acts], self.gradient[acts], self.rate[acts], acts[acts])
 
 
 class _Pace(NamedTuple):
@@ -376,24 +384,21 @@ class Planner:
         return maps, link_clearance(maps, arm.segment_start, arm.segment_end)
 
     def _near(self, arm: Kinematics, maps: Whitening, pairs: Pairs, pace: _Pace) -> _Near:
-        """Return the pairs that could act in this tick, all of them, and their gradients.
+        """Return the pairs that count in this tick, all of them, and their gradients.
 
         Those are the pairs within the influence distance, and those whose barrier could act: no
         point of a link moves faster than Σ |q̇_j| lever_j.
         """
-        within = self._parameters.influence_distance
-        if self._parameters.safety_filter:
-            speeds = (self.robot.levers @ pace.fastest)[:, None] + maps.speeds
-            chosen = pairs.distance <= np.maximum(speeds / pace.rate, within)
-        else:
-            chosen = pairs.distance <= within
-        near = chosen.nonzero()
+        speeds = (self.robot.levers @ pace.fastest)[:, None] + maps.speeds
+        acts = pairs.distance <= speeds / pace.rate
+        near = (acts | (pairs.distance <= self._parameters.influence_distance)).nonzero()
         gradient, rate = clearance_gradients(
             maps, pairs, near, arm.segment_start, arm.segment_end, arm.columns,
             self.robot.moves)
         links, obstacles = near
         return _Near(
-            links, obstacles, pairs.clearance[near], pairs.distance[near], gradient, rate)
+            links, obstacles, pairs.clearance[near], pairs.distance[near], gradient, rate,
+            acts[near])
 
     def _clearance_gradient(
         self, arm: Kinematics, near: _Near, scene: Scene,
@@ -449,6 +454,8 @@ class Planner:
     ) -> tuple[safety.Filtered, str]:
         """Pass the desired velocity through the safety filter and name what acted."""
         p = self._parameters
+        if not near.acts.all():
+            near = near.acting()
         may_yield = p.path_priority == 'yield' and bool(
             ((near.distance < -_FOUND_INSIDE) | (near.rate < 0.0)).any())
         own, own_gradient, distance = self._self_clearances(arm, pace)

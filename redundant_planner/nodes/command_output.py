@@ -46,10 +46,10 @@ class CommandOutput:
         self._trajectory = JointTrajectory(joint_names=list(joint_names))
         self._reach = Duration(seconds=period).to_msg()
 
-    def publish(self, positions: Array, velocities: Array) -> None:
-        """Publish a command, (n,) each [rad, m; per s]."""
-        message = self._message
-        message.header.stamp = self._clock.now().to_msg()
+    def publish(self, positions: Array, velocities: Array) -> int:
+        """Publish a command, (n,) each [rad, m; per s]; return its stamp [ns]."""
+        message, now = self._message, self._clock.now()
+        message.header.stamp = now.to_msg()
         # Arrays go in unseen, lists would be checked number by number.
         message.position = position = array.array('d', positions.tobytes())
         message.velocity = velocity = array.array('d', velocities.tobytes())
@@ -64,6 +64,7 @@ class CommandOutput:
             else:
                 publisher.publish(Float64MultiArray(
                     data=position if name == POSITION_COMMANDS else velocity))
+        return int(now.nanoseconds)
 
     def wait_until_heard(self, seconds: float) -> None:
         """Wait until reliable listeners have acknowledged the last command, or the time is up."""

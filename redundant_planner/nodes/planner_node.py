@@ -148,7 +148,9 @@ class PlannerNode(process.EndableNode):
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._configuration = self.create_publisher(String, '~/configuration', latched)
         self._publish_configuration()
-        self._ticks = (self.create_publisher(Float64MultiArray, '~/ticks', 1000)
+        # Latched, too: a recorder that comes late still gets the beginning.
+        history = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._ticks = (self.create_publisher(Float64MultiArray, '~/ticks', history)
                        if self._settings.publish_ticks else None)
         # Before it speaks itself, whatever it hears on its own topic is somebody else's.
         self._foreign = self.create_subscription(
@@ -349,7 +351,7 @@ class PlannerNode(process.EndableNode):
 
     def _publish(self, dq: Array, *, known: bool = True) -> None:
         assert self._q is not None
-        self._output.publish(
+        self._stamp_ns = self._output.publish(
             self._position_command.advance(self._q, dq, self._period, known=known), dq)
         self._dq = dq
 
@@ -359,28 +361,35 @@ class PlannerNode(process.EndableNode):
         assert self._q is not None
         elapsed = self._command.preview_elapsed() if ahead is not None else np.nan
         self._ticks.publish(Float64MultiArray(data=RecordedTick(
-            self._tick_time, kind, self._applied, self._command.previews, elapsed, twist,
-            self._q).numbers()))
+            self._stamp_ns, self._tick_time, kind, self._applied, self._command.previews,
+            elapsed, twist, self._q).numbers()))
 
     def _after_the_tick(self, now: float) -> None:
-        """Take in obstacles, and do at most one of the chores that are due."""
-        if self._raw_obstacles:
-            raw, self._obstacle_time = list(self._raw_obstacles), now
-            self._raw_obstacles.clear()
-            self._applied += len(raw)
-            for message in raw:
-                for problem in self._obstacles.update(message, now):
-                    self._warn(f'{problem}; ignored')
-            assert self._planner is not None
-            self._planner.prepare(self._obstacles.scene)
-            return
+        """Take in obstacles, and do at most one of the chores that are due.
+
+        Where obstacles came in, chores wait for another tick, but not for ever.
+        """
+        busy = bool(self._raw_obstacles)
+        if busy:
+            self._take_in_obstacles(now)
         if now < self._ready <= now + 2.0 * self._period:
             self._look_around()
         for i, (period, chore) in enumerate(self._chores):
-            if now >= self._due[i] or self._due[i] > now + period:
+            patience = period if busy else 0.0
+            if now >= self._due[i] + patience or self._due[i] > now + period:
                 self._due[i] = now + period
                 chore()
                 return
+
+    def _take_in_obstacles(self, now: float) -> None:
+        raw, self._obstacle_time = list(self._raw_obstacles), now
+        self._raw_obstacles.clear()
+        self._applied += len(raw)
+        for message in raw:
+            for problem in self._obstacles.update(message, now):
+                self._warn(f'{problem}; ignored')
+        assert self._planner is not None
+        self._planner.prepare(self._obstacles.scene)
 
     def _look_around(self) -> None:
         """See who else commands this arm."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 
 # Obstacles shown in RViz, the nearest to the tip; the topic obstacles shows them all.
 _SHOWN = 50
+# Tick times that are kept for a report.
+_TICKS = 5000
 # Points of the reference path, one per message.
 _PATH = 200
 
@@ -43,7 +45,7 @@ class LoopState:
     fault: bool = False
     trouble: str = ''
     result: StepResult | None = None
-    tick_times: list[float] = field(default_factory=list)
+    tick_times: deque[float] = field(default_factory=lambda: deque(maxlen=_TICKS))
     overruns: int = 0
     joint_state_age: float = np.inf
     command_age: float = np.inf
@@ -103,8 +105,10 @@ def status_of(
     return status
 
 
-def _number(unit: float, statistic: object, values: list[float]) -> str:
-    return f'{unit * float(statistic(values)):.0f}' if values else ''  # type: ignore[operator]
+def _number(unit: float, statistic: object, values: Collection[float]) -> str:
+    if not values:
+        return ''
+    return f'{unit * float(statistic(list(values))):.0f}'  # type: ignore[operator]
 
 
 def _pair(nearest: Nearest | None) -> str:
