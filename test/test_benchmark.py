@@ -11,8 +11,10 @@ import pytest
 
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.robot import Capsule
+from redundant_planner.nodes.obstacle_book import ObstacleBook
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from benchmark import loop, speed
 from benchmark.generator import DURATION, generate, Task
 from benchmark.judge import Judge
 from benchmark.scenarios import METHODS, run_planner, summarise
@@ -92,3 +94,23 @@ def test_looking_ahead_finds_the_way_that_the_instant_misses():
     assert around.tracked
     for verdict in (stuck.verdict, around.verdict):
         assert verdict.min_distance > 0.009 and verdict.limit_violation == 0.0
+
+
+def test_speed_measures_every_count_by_name():
+    result = speed.measure('paper', [0, 3, 30], 20, peers=False)
+    for key in ('tick_us', 'tick_p99_us', 'hall_tick_us', 'variational_us'):
+        assert set(result[key]) == {'0', '3', '30'}
+        assert all(value > 1.0 for value in result[key].values())
+    assert result['mink_us'] == {} and result['sections_us']['kinematics'] > 1.0
+
+
+def test_the_loops_obstacles_leave_the_start_free():
+    robot = make_panda()
+    frames = loop.obstacle_messages(robot, loop._STARTS['panda'], 5)
+    assert len(frames) == 60
+    book = ObstacleBook((), ['panda_link0'])
+    for frame in frames:
+        assert book.update(frame, 0.0) == []
+        arm = robot.kinematics(loop._STARTS['panda'])
+        maps = whitening(book.scene, [c.radius for c in robot.capsules])
+        assert link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min() > 0.0

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core import drift, indices, null_space, safety
+from redundant_planner.core.broad_phase import FEW, Surroundings, surroundings
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.horizon import continued, Horizon, node_times, poses_ahead, TwistAhead
@@ -116,7 +117,8 @@ class StepResult(NamedTuple):
         reason: one sentence: what slows or stops the arm; empty when nothing does.
         clearance_index: H_w over what is within the influence distance; infinite where nothing
             is.
-        nearest: the nearest pair, None without obstacles.
+        nearest: the nearest pair, None without obstacles; of many obstacles that are all further
+            away than matters, it may be another's than the nearest.
         manipulability: Yoshikawa's measure, the product of J's singular values.
         pose: the tip at the measured posture.
         path_error: (6,) reference pose minus `pose` before this tick, in command axes [m, rad].
@@ -193,6 +195,7 @@ class Planner:
             np.array((robot.position_max - margin, robot.position_min + margin)),
             robot.velocity_max, robot.acceleration_max, margin)
         self._maps_of = None
+        self._around: Surroundings | None = None
 
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
@@ -258,11 +261,12 @@ class Planner:
 
         # ∇H, Eq. 18, and k P∇H, Eqs. 1 and 2.
         pace = self._pace(dt)
-        maps, pairs = self._clearances(arm, scene)
+        self.prepare(scene)
+        around, maps, pairs = self._clearances(arm, scene, pace)
         near = self._near(arm, maps, pairs, pace)
         shortest = None
         if p.method == 'variational':
-            shortest = self._shortest_path(arm, command, ahead, first, maps, dt)
+            shortest = self._shortest_path(arm, command, ahead, first, dt)
         level, clearance = self._clearance_gradient(arm, near, scene)
         fallback = p.method == 'variational' and shortest is None
         if shortest is not None:
@@ -282,7 +286,7 @@ class Planner:
         followed = arm.jacobian @ dq - task + robot.task_rows(command)
         if p.safety_filter:
             result, reason = self._filtered(
-                dq, parts, arm, command, correction, turning, near, scene, pace, dt)
+                dq, parts, arm, command, correction, turning, near, around, pace, dt)
             dq, scale, stage = result.dq, result.scale, result.stage
             # What was followed of the path; neither the way back to it nor what was yielded.
             followed = scale * robot.task_rows(command) + result.coast * self._path_velocity
@@ -297,7 +301,7 @@ class Planner:
         self._previous = dq
         return StepResult(
             dq.copy(), least_norm, homogeneous, factor, scale, stage, reason, level,
-            self._nearest(pairs, scene), parts.manipulability, pose, error)
+            self._nearest(pairs, around), parts.manipulability, pose, error)
 
     def _checked_command(self, twist: Array, dt: float) -> Array:
         """Return the controlled part of the twist, no faster than the speed limits."""
@@ -338,8 +342,7 @@ class Planner:
         return kept
 
     def _shortest_path(
-        self, arm: Kinematics, command: Array, ahead: TwistAhead | None, first: bool,
-        maps: Whitening, dt: float,
+        self, arm: Kinematics, command: Array, ahead: TwistAhead | None, first: bool, dt: float,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
 
@@ -363,7 +366,8 @@ class Planner:
         poses = poses_ahead(
             self._reference, twist_ahead, horizon.times, self.robot.command_frame)
         steps = _FIRST_STEPS if first and ahead is not None else 1
-        return horizon.advance(arm.q, poses, maps, dt, steps)
+        assert self._maps_of is not None
+        return horizon.advance(arm.q, poses, self._maps_of[1], dt, steps)
 
     def _growth_of(self, command: Array, dt: float) -> float:
         """Return the rate at which the command has been growing or fading lately [1/s]."""
@@ -376,12 +380,23 @@ class Planner:
         self._command = command
         return self._growth
 
-    def _clearances(self, arm: Kinematics, scene: Scene) -> tuple[Whitening, Pairs]:
-        """Return every link × every obstacle; links carry the clearance margin."""
-        self.prepare(scene)
+    def _clearances(
+        self, arm: Kinematics, scene: Scene, pace: _Pace,
+    ) -> tuple[Scene, Whitening, Pairs]:
+        """Return every link × every obstacle that can matter; links carry the clearance margin."""
         assert self._maps_of is not None
-        maps = self._maps_of[1]
-        return maps, link_clearance(maps, arm.segment_start, arm.segment_end)
+        maps, ends = self._maps_of[1], (arm.segment_start, arm.segment_end)
+        if len(scene.names) < FEW:
+            return scene, maps, link_clearance(maps, *ends)
+        fastest_obstacle = float(maps.speeds.max())
+        reach = np.maximum((self.robot.levers @ pace.fastest + fastest_obstacle) / pace.rate,
+                           self._parameters.influence_distance)
+        if self._around is None or not self._around.hold(
+                scene, arm.q, self.robot.levers, reach):
+            self._around = surroundings(
+                scene, maps, link_clearance(maps, *ends), arm.q, reach)
+        around = self._around
+        return around.near, around.maps, link_clearance(around.maps, *ends)
 
     def _near(self, arm: Kinematics, maps: Whitening, pairs: Pairs, pace: _Pace) -> _Near:
         """Return the pairs that count in this tick, all of them, and their gradients.

@@ -1,0 +1,191 @@
+"""Time per tick, beside mink and pink on the same arm, capsules and obstacles.
+
+    python -m benchmark.speed --json speed.json
+
+The arm moves its tip at 7 cm/s and 0.1 rad/s among small ellipsoids, all of them within reach (up
+to 1.2 m from the base) or spread over a hall (20 m × 20 m × 4 m). Every figure is a median over
+ticks of one process; compare ratios, the machine's own speed changes from minute to minute.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+from pathlib import Path
+import platform
+import time
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from benchmark.scenarios import make_robot
+from redundant_planner.core import null_space
+from redundant_planner.core.drift import integrate, Pose
+from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+COUNTS = (0, 1, 3, 10, 100, 1000, 10_000)
+_DT = 0.004
+_MARGIN = 0.01
+_STARTS = {'panda': np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]),
+           'paper': np.array([0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0])}
+_TWIST = np.array([0.05, 0.05, 0.0, 0.0, 0.0, 0.1])
+# pink takes 0.4 ms per obstacle and tick, mink makes a model with a body for each.
+_MOST_OF_PINK, _MOST_OF_MINK = 100, 1000
+_EXTENTS = {'reach': ((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2)),
+            'hall': ((-10.0, -10.0, 0.0), (10.0, 10.0, 4.0))}
+
+
+def obstacles_around(robot: Robot, start: Array, count: int, where: str) -> list[Obstacle]:
+    """Return ellipsoids of 2 to 5 cm that keep 5 cm off the arm's start posture."""
+    random = np.random.default_rng(0)
+    arm = robot.kinematics(start)
+    radii = [capsule.radius + 0.05 for capsule in robot.capsules]
+    found: list[Obstacle] = []
+    while len(found) < count:
+        batch = [Obstacle(f'o{len(found) + i}', random.uniform(*_EXTENTS[where]),
+                          random.uniform(0.02, 0.05, 3)) for i in range(count)]
+        clear = link_clearance(whitening(Scene.of(batch), radii), arm.segment_start,
+                               arm.segment_end).clearance.min(axis=0) > 0.0
+        found += [obstacle for obstacle, free in zip(batch, clear) if free]
+    return found[:count]
+
+
+def planner_times(
+    robot: Robot, start: Array, obstacles: list[Obstacle], method: str, ticks: int,
+) -> Array:
+    """Return the times of ticks [us]."""
+    planner, scene = Planner(robot, PlannerParameters(method=method)), Scene.of(obstacles)
+    planner.prepare(scene)
+    twist, q = robot.full_twist(robot.task_rows(_TWIST)), start
+    times = np.empty(ticks)
+    for i in range(ticks):
+        begin = time.perf_counter()
+        result = planner.step(q, twist, scene, _DT)
+        times[i] = time.perf_counter() - begin
+        q = q + _DT * result.dq
+    return 1e6 * times
+
+
+def peer_times(
+    peer: str, robot: Robot, start: Array, obstacles: list[Obstacle], ticks: int,
+) -> Array:
+    """Return the times of the ticks of mink or pink, which are installed for this alone [us]."""
+    from benchmark import peers
+    solver = getattr(peers, peer.capitalize())(robot, obstacles, _MARGIN)
+    arm = robot.kinematics(start)
+    pose, q = Pose(arm.tip_position, arm.tip_rotation), start
+    times = np.empty(ticks)
+    for i in range(ticks):
+        pose = integrate(pose, _TWIST, _DT, 'base')
+        begin = time.perf_counter()
+        dq = solver.step(q, pose, _DT)
+        times[i] = time.perf_counter() - begin
+        q = q + _DT * dq
+    return 1e6 * times
+
+
+def sections(
+    robot: Robot, start: Array, obstacles: list[Obstacle], ticks: int,
+) -> dict[str, float]:
+    """Return where a tick's time goes, each part by itself [us]."""
+    maps = whitening(Scene.of(obstacles), [c.radius for c in robot.capsules])
+    arm = robot.kinematics(start)
+    parts = {
+        'kinematics': lambda: robot.kinematics(start),
+        'decomposition': lambda: null_space.decompose(arm.jacobian),
+        'clearance': lambda: link_clearance(maps, arm.segment_start, arm.segment_end),
+        'derivative': lambda: robot.jacobian_derivative_times(arm, start),
+    }
+    return {name: _median(part, ticks) for name, part in parts.items()}
+
+
+def _median(part: Any, ticks: int) -> float:
+    times = np.empty(ticks)
+    for i in range(ticks):
+        begin = time.perf_counter()
+        part()
+        times[i] = time.perf_counter() - begin
+    return 1e6 * float(np.median(times))
+
+
+def measure(name: str, counts: list[int], ticks: int, peers: bool) -> dict[str, Any]:
+    """Measure everything for one arm; keys as in the JSON, then the number of obstacles."""
+    robot, start = make_robot(name, 6 if name == 'panda' else 3), _STARTS[name]
+    result: dict[str, Any] = {
+        key: {} for key in ('tick_us', 'tick_p99_us', 'variational_us', 'hall_tick_us', 'mink_us',
+                            'pink_us', 'ratio_to_mink', 'ratio_to_pink')}
+    for count in track(counts, description=name):
+        key = str(count)
+        around = obstacles_around(robot, start, count, 'reach')
+        times = planner_times(robot, start, around, 'dynamic_factor', ticks)
+        result['tick_us'][key] = float(np.median(times))
+        result['tick_p99_us'][key] = float(np.percentile(times, 99))
+        result['hall_tick_us'][key] = float(np.median(planner_times(
+            robot, start, obstacles_around(robot, start, count, 'hall'), 'dynamic_factor',
+            ticks)))
+        if count <= _MOST_OF_MINK:
+            result['variational_us'][key] = float(np.median(planner_times(
+                robot, start, around, 'variational', ticks // 2)))
+        for label, most in (('mink', _MOST_OF_MINK), ('pink', _MOST_OF_PINK)):
+            if not peers or name != 'panda' or count > most:
+                continue
+            taken = float(np.median(peer_times(
+                label, robot, start, around, ticks if count < 100 else ticks // 8)))
+            result[f'{label}_us'][key] = taken
+            result[f'ratio_to_{label}'][key] = result['tick_us'][key] / taken
+    result['sections_us'] = sections(
+        robot, start, obstacles_around(robot, start, 3, 'reach'), ticks)
+    return result
+
+
+def versions() -> dict[str, str]:
+    """Return what was measured with."""
+    found = {'python': platform.python_version(), 'machine': platform.machine()}
+    for package in ('numpy', 'pin', 'daqp', 'mink', 'mujoco', 'pin-pink'):
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            found[package] = ''
+    return found
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the benchmark; return the process's exit status."""
+    parser = argparse.ArgumentParser(prog='benchmark.speed', description=__doc__)
+    parser.add_argument('--robot', choices=tuple(_STARTS), default='panda')
+    parser.add_argument('--counts', type=int, nargs='+', default=list(COUNTS), metavar='COUNT')
+    parser.add_argument('--ticks', type=int, default=400)
+    parser.add_argument('--without-peers', action='store_true')
+    parser.add_argument('--json', type=Path)
+    options = parser.parse_args(args)
+    result = measure(options.robot, options.counts, options.ticks, not options.without_peers)
+    table = Table(title=f'{options.robot}: time per tick [us]')
+    table.add_column('obstacles')
+    keys = [key for key in result if key != 'sections_us' and result[key]]
+    for key in keys:
+        table.add_column(key.replace('_', ' '), justify='right')
+    for count in options.counts:
+        table.add_row(str(count), *(
+            f'{result[key][str(count)]:.3g}' if str(count) in result[key] else ''
+            for key in keys))
+    console = Console(width=140)
+    console.print(table)
+    console.print(f'parts of a tick [us]: {result["sections_us"]}')
+    if options.json is not None:
+        options.json.write_text(json.dumps(
+            {'robot': options.robot, 'versions': versions(), **result}, indent=1))
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
