@@ -34,14 +34,14 @@ class Piece(NamedTuple):
         link: its name.
         joint: name of the chain joint that carries it.
         points: (k, 3) corners of a body around it, in the link's frame [m].
-        sphere: (radius, half length) of a sphere or capsule along z, whose points are the ends
-            of its segment; None for a body.
+        radius: of a sphere or capsule, whose points are the ends of its segment [m]; None for
+            a body.
     """
 
     link: str
     joint: str
     points: Array
-    sphere: float | None = None
+    radius: float | None = None
 
 
 @dataclass(frozen=True)
@@ -182,9 +182,9 @@ def _fit(robot: Robot, pieces: Iterable[Piece]) -> Iterable[Fit]:
             # All in the frame of the joint's first link: they are one rigid body.
             points = robot.in_link(base, piece.link, piece.points)
             corners += len(points)
-            if piece.sphere is not None:
-                shape = Shape(points[0], points[1], piece.sphere)
-                shapes.append((shape, np.vstack([_around(end, piece.sphere) for end in points])))
+            if piece.radius is not None:
+                shape = Shape(points[0], points[1], piece.radius)
+                shapes.append((shape, np.vstack([_around(end, piece.radius) for end in points])))
                 owners.append(piece.link)
                 volume += shape.volume
                 continue

@@ -206,6 +206,7 @@ class Planner:
         self._command: Array = np.zeros(6)
         self._growth = 0.0
         self._horizon = None
+        self._around = None
 
     @property
     def reference(self) -> Pose | None:

@@ -311,3 +311,12 @@ def test_an_arm_found_inside_an_obstacle_moves_out_and_never_deeper(panda):
     assert distances[0] < -0.03
     assert (np.diff(distances) > -1e-5).all()
     assert distances[-1] > -1e-3
+
+
+@pytest.mark.parametrize('limit', ['linear_speed_max', 'angular_speed_max'])
+def test_a_speed_limit_of_zero_stops_the_arm(panda, limit):
+    planner = Planner(panda, PlannerParameters(**{limit: 0.0}))
+    twist = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.3])
+    for _ in range(20):
+        result = planner.step(PANDA_READY, twist, Scene.of(), 0.004)
+    assert np.abs(result.dq).max() < 1e-9
