@@ -70,7 +70,7 @@ def surroundings(
         reach: (c,) how near an obstacle must be to matter [m].
     """
     wide = reach + _SLACK
-    chosen = (pairs.distance <= wide[:, None]).any(axis=0)
+    chosen = np.asarray((pairs.distance <= wide[:, None]).any(axis=0))
     chosen[int(pairs.distance.min(axis=0).argmin())] = True
     index = np.flatnonzero(chosen)
     names = tuple(scene.names[i] for i in index.tolist())
