@@ -104,6 +104,7 @@ def record(folder: Path, planner: str, extra: list[str], duration: float | None)
     names = [node.resolve_topic_name(topic.replace('~', planner)) for topic in (*TOPICS, *extra)]
     try:
         with BagWriter(folder) as writer:
+            print(f"recording to '{folder}' until Ctrl-C", flush=True)
             recorder = Recorder(node, writer, names)
             begin = time.monotonic()
             looked, flushed = -_LOOK, begin
@@ -142,7 +143,6 @@ def main(args: list[str] | None = None) -> int:
         folder = options.bag or Path(datetime.now().strftime('bag_%Y_%m_%d-%H_%M_%S'))
         keep_off_shared_memory()
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
-        print(f"recording to '{folder}' until Ctrl-C", flush=True)
         counts = record(folder, options.planner, options.topics, options.duration)
     except (PlannerError, OSError) as error:
         print(f'record_bag: {error}', file=sys.stderr)
