@@ -25,6 +25,7 @@ class CommandInput:
 
     Attributes:
         frame: 'base' or 'tool', the axes of the latest twist.
+        timeout: how old the stamp of a message may be when it arrives [s].
         previews: how many previews were taken so far.
     """
 
@@ -44,6 +45,7 @@ class CommandInput:
         self._frames, self._command_frame = frames, command_frame
         self._clock, self._ros_time, self._warn = clock, ros_time, warn
         self._unstamped = False
+        self.timeout = 0.1
         self.previews = 0
         self.forget()
 
@@ -106,9 +108,6 @@ class CommandInput:
                        f'{known(self._frames)}')
             return
         self._take(message.twist, self._frames.get(name, self._command_frame), late)
-
-    # How old the stamp of a message may be when it arrives [s].
-    timeout = 0.1
 
     def _take(self, message: Twist, frame: str, late: float = 0.0) -> None:
         try:

@@ -13,6 +13,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -359,3 +361,41 @@ def test_two_arms_in_namespaces_do_not_disturb_each_other():
             ros.spin(0.005)
         assert np.any(heard['left'][-1].velocity)
         assert not any(np.any(m.velocity) for m in heard['right'])
+
+
+def test_simulated_time_sets_the_pace_and_may_start_anew():
+    """At half the speed the loop ticks half as often; a reset simulator does not move the arm."""
+    with station() as (ros, processes):
+        clock = ros.node.create_publisher(Clock, '/clock', 10)
+        now = [100.0]
+
+        def pass_time(seconds, factor, twist=None):
+            begin, start = time.monotonic(), now[0]
+            while time.monotonic() < begin + seconds:
+                now[0] = start + factor * (time.monotonic() - begin)
+                clock.publish(Clock(clock=Time(nanoseconds=round(now[0] * 1e9)).to_msg()))
+                if twist is not None:
+                    ros.twist.publish(twist_to_message(twist))
+                ros.spin(0.004)
+
+        processes.start('fake_hardware_node', FILE, {
+            'initial_joints': list(START), 'initial_positions': list(START.values())})
+        processes.start('planner_node', FILE, {'use_sim_time': True})
+        deadline = time.monotonic() + PATIENCE
+        while not ros.commands:
+            assert time.monotonic() < deadline
+            pass_time(0.2, 1.0)
+        forward = np.array([0.0, -0.05, 0.0, 0.0, 0.0, 0.0])
+        pass_time(0.5, 0.5, forward)
+        ros.commands.clear()
+        begin = now[0]
+        pass_time(1.0, 0.5, forward)
+        ticks = RATE * (now[0] - begin)
+        assert 0.8 * ticks < len(ros.commands) < 1.2 * ticks
+        assert np.any(ros.commands[-1].velocity)
+        assert abs(seconds_of(ros.commands[-1].header.stamp) - now[0]) < 0.1
+        ros.commands.clear()
+        now[0] = 3.0
+        pass_time(0.5, 1.0)
+        assert ros.commands and not np.any(ros.commands[-1].velocity)
+        assert seconds_of(ros.commands[-1].header.stamp) < 5.0
