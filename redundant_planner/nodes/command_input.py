@@ -47,16 +47,23 @@ class CommandInput:
         self._unstamped = False
         self.timeout = 0.1
         self.previews = 0
-        self.forget()
-
-    def forget(self) -> None:
-        """Drop command and preview: motion begins with a new one."""
-        self._twist: Array = np.zeros(6)
-        self._time = -np.inf
-        self._preview: Preview | None = None
         self._preview_start = 0.0
         self._ahead_at = 0.0
+        self.forget()
+        self.forget_preview()
+
+    def forget(self) -> None:
+        """Drop the command: motion begins with a new one.
+
+        A preview stays. It moves nothing by itself, and what it announced is still to come.
+        """
+        self._twist: Array = np.zeros(6)
+        self._time = -np.inf
         self.frame = self._command_frame
+
+    def forget_preview(self) -> None:
+        """Drop what was announced, where its time no longer means anything."""
+        self._preview: Preview | None = None
 
     def age(self) -> float:
         """Return how long ago the command came [s], infinite without one."""

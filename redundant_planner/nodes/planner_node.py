@@ -292,6 +292,7 @@ class PlannerNode(process.EndableNode):
         if np.isfinite(self._last_tick) and not 0.0 <= now - self._last_tick <= _GAP:
             self._restart = (f'the clock jumped by {now - self._last_tick:.3f} s: the motion '
                              'starts again')
+            self._command.forget_preview()
         if self._restart and self._dq is not None:
             self._warn(self._restart)
             return self._restart

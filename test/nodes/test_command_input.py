@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from rclpy.time import Time
 
+from redundant_planner.core.horizon import Preview
 from redundant_planner.nodes.command_input import CommandInput
-from redundant_planner.nodes.messages import twist_to_message
+from redundant_planner.nodes.messages import preview_to_message, twist_to_message
 
 TWIST = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.2])
 
@@ -95,3 +96,19 @@ def test_nothing_remains_after_forgetting(clocks):
     clocks.send()
     clocks.input.forget()
     assert not clocks.moving and clocks.input.ahead(0.1) is None
+
+
+def test_a_preview_outlives_a_stop_but_not_a_jump_of_the_clock(clocks):
+    preview = Preview(np.array([0.0, 2.0]), np.tile(TWIST, (2, 1)))
+    clocks.input.on_preview(preview_to_message(preview))
+    assert clocks.input.ahead(0.1) is None  # nothing is commanded
+    clocks.loop += 0.5
+    clocks.send()
+    np.testing.assert_allclose(clocks.input.ahead(0.1)(np.array([0.0, 1.4, 1.6])),
+                               [TWIST, TWIST, np.zeros(6)])
+    clocks.input.forget()
+    assert clocks.input.ahead(0.1) is None
+    clocks.send()
+    assert clocks.input.ahead(0.1) is not None
+    clocks.input.forget_preview()
+    assert clocks.input.ahead(0.1) is None
