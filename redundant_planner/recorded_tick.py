@@ -60,10 +60,13 @@ class RecordedTick(NamedTuple):
         """Return the tick that `numbers` gives.
 
         Raises:
-            StateError: there are too few numbers.
+            StateError: there are too few numbers, or the kind is none.
         """
         row = np.array(numbers, dtype=float)
         if row.ndim != 1 or len(row) <= _HEAD:
             raise StateError(f'a recorded tick has {row.size} numbers; it takes more than {_HEAD}')
+        if row[3] not in list(TickKind):
+            raise StateError(f'a recorded tick is of kind {row[3]:g}; it must be one of '
+                             f'{[int(kind) for kind in TickKind]}')
         return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
                    int(row[4]), int(row[5]), float(row[6]), row[7:_HEAD], row[_HEAD:])

@@ -233,6 +233,16 @@ def obstacle_of(name: str, entry: Mapping[str, Any]) -> Obstacle:
                              for key, value in entry.items() if key != 'name'})
 
 
+def static_obstacles(values: Mapping[str, Any]) -> list[Obstacle]:
+    """Return the static obstacles among parameter values.
+
+    Raises:
+        ObstacleError, ParameterError: with what is wrong.
+    """
+    return [obstacle_of(name, entry)
+            for name, entry in (values.get('static_obstacle') or {}).items()]
+
+
 def _capsule(name: str, entry: Mapping[str, Any]) -> Capsule:
     _check_keys(f"capsule '{name}'", entry, ('frame', 'start', 'end', 'radius'))
     return Capsule(name, str(entry['frame']), np.asarray(entry['start'], dtype=float),

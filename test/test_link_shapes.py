@@ -126,6 +126,28 @@ def test_show_robot_prints_a_parameter_file_that_loads(tmp_path, capsys):
     assert 7 <= len(robot.capsules) <= 10 and picture.stat().st_size > 50_000
 
 
+def test_show_robot_keeps_what_the_parameters_say(tmp_path, capsys):
+    given = tmp_path / 'given.yaml'
+    given.write_text(f"""
+/**:
+  ros__parameters:
+    urdf: {PANDA_URDF}
+    tip_frame: panda_hand
+    axes: [vx, vy, vz]
+    command_frame: tool
+    locked_joints: [panda_joint3]
+    locked_positions: [0.2]
+    acceleration_max: [7.0]
+""")
+    assert show_robot(['--params', str(given), '--out', str(tmp_path / 'p.png')]) == 0
+    printed = tmp_path / 'printed.yaml'
+    printed.write_text(capsys.readouterr().out)
+    robot = load_robot(printed)
+    assert robot.n == 6 and robot.m == 3 and robot.command_frame == 'tool'
+    assert 'panda_joint3' not in robot.joint_names
+    np.testing.assert_array_equal(robot.acceleration_max, 7.0)
+
+
 @pytest.mark.parametrize(('arguments', 'message'), [
     ([], 'give --urdf or --params'), (['--urdf', '/no/such.urdf'], 'is not a file'),
     (['--params', '/no/such.yaml'], 'is not a file'),

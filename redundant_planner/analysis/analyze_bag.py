@@ -56,11 +56,12 @@ def motion_table(analyses: list[Analysis]) -> Table:
         table.add_column(analysis.name, justify='right')
     columns = [motion_measures(analysis) for analysis in analyses]
     for key in columns[0]:
-        table.add_row(key.replace('_', ' '), *(_text(column[key]) for column in columns))
+        table.add_row(key.replace('_', ' '), *(as_text(column[key]) for column in columns))
     return table
 
 
-def _text(value: Any) -> str:
+def as_text(value: Any) -> str:
+    """Return a measure as it stands in a table."""
     if value is None:
         return '–'
     return f'{value:.5g}' if isinstance(value, float) else str(value)

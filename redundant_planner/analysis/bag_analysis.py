@@ -41,10 +41,10 @@ from redundant_planner.robot_parameters import (
     build_robot,
     likely_tip,
     load_robot,
-    obstacle_of,
     parameter_values,
     robot_of_values,
     RobotParameters,
+    static_obstacles,
 )
 
 Array = npt.NDArray[np.float64]
@@ -376,9 +376,7 @@ def _analyse(
     bag: Bag, source: str, robot: Robot | None, values: dict[str, Any], begin: float, end: float,
     progress: Callable[[float], None] | None, notes: list[str],
 ) -> Analysis:
-    static = [obstacle_of(name, entry)
-              for name, entry in (values.get('static_obstacle') or {}).items()]
-    book = ObstacleBook(static, (), transform=as_it_is)
+    book = ObstacleBook(static_obstacles(values), (), transform=as_it_is)
     scenes = _Scenes(book.scene)
     commands = _Commands(float(values.get('incoming_command_timeout', _COMMAND_TIMEOUT)))
     clearances = _Clearances(robot) if robot is not None else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 import sys
@@ -34,7 +35,7 @@ from redundant_planner.core.robot import Robot
 from redundant_planner.core.safety import braked
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 from redundant_planner.recorded_tick import RecordedTick, TickKind
-from redundant_planner.robot_parameters import obstacle_of, read_parameter_file, settings_of
+from redundant_planner.robot_parameters import read_parameter_file, settings_of, static_obstacles
 
 Array = npt.NDArray[np.float64]
 
@@ -101,7 +102,9 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
         elif item.topic == 'cmd_vel':
             inputs.twists.append((item.arrival, twist_of(item.message)))
         elif item.topic == 'cmd_vel_preview':
-            inputs.previews.append((item.arrival, _preview(item)))
+            preview = _preview(item)
+            if preview is not None:
+                inputs.previews.append((item.arrival, preview))
         else:
             if item.topic == 'obstacles':
                 inputs.obstacles.append((item.arrival, item.raw))
@@ -112,11 +115,17 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
     return inputs
 
 
-def _preview(item: Event) -> Preview:
+def _preview(item: Event) -> Preview | None:
+    """Return what was announced; None where the node refused it, and did not count it."""
     points = item.message.points
-    return Preview(
-        np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]),
-        np.array([twist_of(p.velocities[0]) for p in points]).reshape(-1, 6))
+    if any(len(point.velocities) != 1 for point in points):
+        return None
+    try:
+        return Preview(
+            np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]),
+            np.array([twist_of(p.velocities[0]) for p in points]).reshape(-1, 6))
+    except StateError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -185,23 +194,28 @@ def _rows(
     inputs: Inputs, parameters: PlannerParameters, ticks: list[tuple[float, RecordedTick]], *,
     measured: bool,
 ) -> Replay:
-    """Step through ticks, at measured postures or at those of an ideal arm."""
+    """Step through ticks, at measured postures or at those of an ideal arm.
+
+    Raises:
+        RecordingError: there are none.
+    """
     robot = inputs.robot
+    if not ticks:
+        raise RecordingError('the bag is too short: no tick lies between its first joint state '
+                             'and its last')
     planner = Planner(robot, parameters)
     values = inputs.values
-    static = [obstacle_of(name, entry)
-              for name, entry in (values.get('static_obstacle') or {}).items()]
-    book = ObstacleBook(static, (), transform=as_it_is, estimate_velocity=bool(
+    book = ObstacleBook(static_obstacles(values), (), transform=as_it_is, estimate_velocity=bool(
         values.get('estimate_obstacle_velocity', False)))
     dt = 1.0 / int(values.get('rate', _RATE))
     q: Array = inputs.start
     dq: Array = np.zeros(robot.n)
-    if ticks and measured is False and inputs.ticks:
+    if inputs.ticks:
         q = ticks[0][1].q
     applied = 0
     count = len(ticks)
     positions, velocities = np.empty((count, robot.n)), np.empty((count, robot.n))
-    previous = ticks[0][1].time if ticks else 0.0
+    previous = ticks[0][1].time
     for i, (_, tick) in enumerate(track(
             ticks, description='replaying', console=Console(stderr=True), transient=True)):
         if measured:
@@ -253,11 +267,11 @@ def write_replay(path: Path, inputs: Inputs, replay: Replay, origin_ns: int, tex
         for topic, kind in kinds.items():
             bag.add_topic(f'/{topic}', kind)
         bag.write_text('/configuration', ns(replay.times[0]), text)
-        events = [(time, topic, raw) for topic, time, raw in inputs.raw]
-        events.sort(key=lambda event: event[0])
+        events = deque(sorted(
+            ((time, topic, raw) for topic, time, raw in inputs.raw), key=lambda event: event[0]))
         for i, time in enumerate(replay.times):
             while events and events[0][0] <= time:
-                at, topic, raw = events.pop(0)
+                at, topic, raw = events.popleft()
                 bag.write(f'/{topic}', ns(at), raw)
             if i == 0 or not np.array_equal(replay.twists[i], replay.twists[i - 1]) or i % 10 == 0:
                 bag.write_twist('/cmd_vel', ns(time), replay.twists[i])
@@ -308,7 +322,7 @@ def main(args: list[str] | None = None) -> int:
         for note in inputs.notes:
             print(f'note: {note}')
         print(f'bag: {out}')
-    except (PlannerError, StateError) as error:
+    except PlannerError as error:
         print(f'replay_bag: {error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:

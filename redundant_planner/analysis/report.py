@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from plotly.offline import get_plotlyjs
 
-from redundant_planner.analysis.analyze_bag import motion_measures, reductions
+from redundant_planner.analysis.analyze_bag import as_text, motion_measures, reductions
 from redundant_planner.analysis.bag_analysis import Analysis, obstacles_at
 from redundant_planner.analysis.figures import capsule_surface, joint_curves, motion_picture
 from redundant_planner.core.errors import PlannerError
@@ -192,7 +192,7 @@ def write_report(folder: Path, analyses: list[Analysis]) -> Path:
 
 def _section(index: int, analysis: Analysis) -> str:
     measures = ''.join(
-        f'<tr><td>{escape(key.replace("_", " "))}</td><td>{escape(_text(value))}</td></tr>'
+        f'<tr><td>{escape(key.replace("_", " "))}</td><td>{escape(as_text(value))}</td></tr>'
         for key, value in motion_measures(analysis).items())
     notes = ''.join(f'<p class="note">{escape(note)}</p>' for note in analysis.notes)
     view = '' if analysis.robot is None else (
@@ -226,12 +226,6 @@ def _comparison(base: Analysis, improved: Analysis) -> str:
                   for key in keys) + '</tr>' for name, row in rows.items())
     return (f'<h2>Reductions (%) of {escape(improved.name)} against {escape(base.name)}</h2>'
             f'<div class="scroll"><table><tr><th>joint</th>{head}</tr>{lines}</table></div>')
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return '–'
-    return f'{value:.5g}' if isinstance(value, float) else str(value)
 
 
 def _packed(values: npt.ArrayLike) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 import sys
 import time
@@ -36,13 +36,14 @@ Array = npt.NDArray[np.float64]
 def parameter_file(parameters: RobotParameters, robot: Robot) -> str:
     """Return a ROS parameter file for a robot, its capsules included."""
     capsules = {c.name: capsule_entry(c) for c in robot.capsules}
+    given = {entry.name: getattr(parameters, entry.name) for entry in fields(parameters)
+             if getattr(parameters, entry.name) != entry.default}
     values: dict[str, Any] = {
         'urdf': parameters.urdf, 'base_frame': robot.base_frame, 'tip_frame': robot.tip_frame,
-        'axes': list(robot.axes),
-        'acceleration_max': [float(a) for a in robot.acceleration_max],
+        'axes': robot.axes, 'acceleration_max': robot.acceleration_max.tolist(), **given,
         'capsules': list(capsules), 'capsule': capsules}
-    if parameters.velocity_max:
-        values['velocity_max'] = [float(v) for v in robot.velocity_max]
+    values = {key: list(value) if isinstance(value, tuple) else value
+              for key, value in values.items()}
     text = yaml.dump({'/**': {'ros__parameters': values}}, sort_keys=False, width=99,
                      default_flow_style=None)
     return ('# Made by show_robot. A URDF has no acceleration limits: replace acceleration_max by '

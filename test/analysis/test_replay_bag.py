@@ -15,7 +15,9 @@ from redundant_planner.analysis.replay_bag import (
     otherwise,
     read_inputs,
 )
+from redundant_planner.core.errors import StateError
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.recorded_tick import RecordedTick, TickKind
 from redundant_planner.robot_parameters import settings_of
 
 
@@ -78,12 +80,28 @@ def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path, capsys):
     bare = write(tmp_path / 'bare', *paper_motion(0.1), ('joint_states',))
     stateless = write(tmp_path / 'stateless', *paper_motion(0.1), (
         'joint_command', 'planner_node/configuration'))
+    short = write(tmp_path / 'short', *paper_motion(DT))
     (tmp_path / 'bad.yaml').write_text('/**: {ros__parameters: {k_alpha: much}}')
     for arguments, message in (
-            ([bare], 'no robot'), ([stateless], 'no messages on joint_states'),
+            ([bare], 'no robot'), ([short], 'too short'),
+            ([stateless], 'no messages on joint_states'),
             ([tmp_path / 'gone'], 'no such file'), ([path, '--out', path], 'exists already'),
             ([path, '--params', tmp_path / 'no.yaml'], 'is not a file'),
             ([path, '--params', tmp_path / 'bad.yaml'], "'k_alpha' is 'much'")):
         assert replay_bag([str(a) for a in arguments]) == 2
         error = capsys.readouterr().err
         assert message in error and 'Traceback' not in error, error
+
+
+def test_a_recorded_tick_survives_the_way_there_and_back_and_nonsense_is_refused():
+    tick = RecordedTick(1_795_276_822_763_012_348, 12.5, TickKind.STARTING, 3, 1, np.nan,
+                        np.arange(6.0), np.arange(7.0))
+    numbers = tick.numbers()
+    again_ = RecordedTick.of(numbers)
+    assert again_[:5] == tick[:5] and np.isnan(again_.preview_elapsed)
+    np.testing.assert_array_equal(again_.q, tick.q)
+    with pytest.raises(StateError, match='has 5 numbers'):
+        RecordedTick.of(numbers[:5])
+    numbers[3] = 9.0
+    with pytest.raises(StateError, match='of kind 9'):
+        RecordedTick.of(numbers)
