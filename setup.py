@@ -32,8 +32,8 @@ setup(
     ],
     python_requires='>=3.10',
     # pin is Pinocchio on PyPI; apt's ros-jazzy-pinocchio provides the same module.
-    install_requires=['setuptools', 'numpy>=1.26', 'scipy>=1.8', 'pin>=3', 'daqp>=0.5',
-                      'PyYAML>=6'],
+    install_requires=['setuptools', 'numpy>=1.26', 'numba>=0.59', 'scipy>=1.8', 'pin>=3',
+                      'daqp>=0.5', 'PyYAML>=6'],
     extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'benchmark': BENCHMARK, 'test': TEST,
                     'browser': BROWSER},
     zip_safe=False,

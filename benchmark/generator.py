@@ -191,5 +191,5 @@ def path_poses(robot: Robot, task: Task, dt: float) -> list[Pose]:
     arm = robot.kinematics(task.start)
     poses = [Pose(arm.tip_position, arm.tip_rotation)]
     for i in range(round(DURATION / dt)):
-        poses.append(integrate(poses[-1], task.twist_at(i * dt), dt, robot.command_frame))
+        poses.append(integrate(poses[-1], task.twist_at(i * dt), dt, robot.in_tool))
     return poses

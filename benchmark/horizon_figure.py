@@ -78,7 +78,7 @@ def main() -> None:
     arm = robot.kinematics(start)
     poses = [Pose(arm.tip_position, arm.tip_rotation)]
     for i in range(round(scenario.duration / DT)):
-        poses.append(integrate(poses[-1], scenario.twist_at(i * DT), DT, 'base'))
+        poses.append(integrate(poses[-1], scenario.twist_at(i * DT), DT, False))
     traditional = replace(paper.methods()['gradient_projection_links'],
                           clearance_margin=PlannerParameters().clearance_margin)
     found = compare(robot, start, scenario.preview().at, scenario.duration, scenario.obstacles,

@@ -134,16 +134,17 @@ class Optimum:
         path = [q]
         for i, pose in enumerate(self._poses[1:]):
             step = self._times[i + 1] - self._times[i]
-            _, jacobian = robot.tip(q)
+            jacobian = robot.kinematics(q).jacobian
             inverse = np.linalg.pinv(jacobian, rcond=0.02)
             aside = aside - inverse @ (jacobian @ aside)
             aside /= np.linalg.norm(aside)
             if self._times[i] < _BEND:
                 q = q + speed * step * aside
             for _ in range(3):
-                tip, jacobian = robot.tip(q)
-                error = drift.pose_error(pose, Pose(*tip), robot.command_frame)
-                q = q + np.linalg.pinv(jacobian, rcond=0.02) @ robot.task_rows(error)
+                arm = robot.kinematics(q)
+                error = drift.pose_error(
+                    pose, Pose(arm.tip_position, arm.tip_rotation), robot.in_tool)
+                q = q + np.linalg.pinv(arm.jacobian, rcond=0.02) @ robot.task_rows(error)
             q = np.clip(q, self._low, self._high)
             path.append(q)
         return np.array(path)

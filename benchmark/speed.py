@@ -24,9 +24,10 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmark.scenarios import make_robot
-from redundant_planner.core import null_space
+from redundant_planner.core import null_space, safety
 from redundant_planner.core.drift import integrate, Pose
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.jacobian import derivative_between
+from redundant_planner.core.obstacles import link_clearance, near_pairs, Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import Robot
@@ -86,7 +87,7 @@ def peer_times(
     pose, q = Pose(arm.tip_position, arm.tip_rotation), start
     times = np.empty(ticks)
     for i in range(ticks):
-        pose = integrate(pose, _TWIST, _DT, 'base')
+        pose = integrate(pose, _TWIST, _DT, False)
         begin = time.perf_counter()
         dq = solver.step(q, pose, _DT)
         times[i] = time.perf_counter() - begin
@@ -97,14 +98,29 @@ def peer_times(
 def sections(
     robot: Robot, start: Array, obstacles: list[Obstacle], ticks: int,
 ) -> dict[str, float]:
-    """Return where a tick's time goes, each part by itself [us]."""
+    """Return where a tick's time goes, each part by itself, called from Python [us]."""
     maps = whitening(Scene.of(obstacles), [c.radius for c in robot.capsules])
-    arm = robot.kinematics(start)
+    arm, p = robot.kinematics(start), PlannerParameters()
+    speeds = robot.levers @ robot.velocity_max
+    near = near_pairs(
+        maps, arm.segment_start, arm.segment_end, arm.columns, robot.moves, speeds,
+        p.barrier_gain, p.influence_distance)
+    limits = safety.Limits(np.array((robot.position_max, robot.position_min)),
+                           robot.velocity_max, robot.acceleration_max)
+    at_rest, twist = np.zeros(robot.n), robot.task_rows(_TWIST)
     parts = {
         'kinematics': lambda: robot.kinematics(start),
+        'clearances and gradients': lambda: near_pairs(
+            maps, arm.segment_start, arm.segment_end, arm.columns, robot.moves, speeds,
+            p.barrier_gain, p.influence_distance),
         'decomposition': lambda: null_space.decompose(arm.jacobian),
-        'clearance': lambda: link_clearance(maps, arm.segment_start, arm.segment_end),
-        'derivative': lambda: robot.jacobian_derivative_times(arm, start),
+        'derivative of J': lambda: derivative_between(
+            twist, arm.tip_jacobian, start, arm.tip_rotation, robot.in_tool, robot.rows),
+        # From rest the arm cannot follow at once, so here there is one to solve.
+        'filter with a QP': lambda: safety.safe_velocity(
+            np.linalg.pinv(arm.jacobian) @ twist, True, arm.jacobian, twist, start, at_rest,
+            limits, safety.Barriers(near.gradient, near.rate, near.clearance),
+            weights=np.ones(robot.n), gain=p.barrier_gain, may_yield=False, dt=_DT),
     }
     return {name: _median(part, ticks) for name, part in parts.items()}
 
@@ -135,12 +151,12 @@ def measure(name: str, counts: list[int], ticks: int, peers: bool) -> dict[str, 
             ticks)))
         if count <= _MOST_OF_MINK:
             result['variational_us'][key] = float(np.median(planner_times(
-                robot, start, around, 'variational', ticks // 2)))
+                robot, start, around, 'variational', ticks // 4)))
         for label, most in (('mink', _MOST_OF_MINK), ('pink', _MOST_OF_PINK)):
             if not peers or name != 'panda' or count > most:
                 continue
             taken = float(np.median(peer_times(
-                label, robot, start, around, ticks if count < 100 else ticks // 8)))
+                label, robot, start, around, max(ticks // (1 + count), 40))))
             result[f'{label}_us'][key] = taken
             result[f'ratio_to_{label}'][key] = result['tick_us'][key] / taken
     result['sections_us'] = sections(
@@ -151,7 +167,7 @@ def measure(name: str, counts: list[int], ticks: int, peers: bool) -> dict[str, 
 def versions() -> dict[str, str]:
     """Return what was measured with."""
     found = {'python': platform.python_version(), 'machine': platform.machine()}
-    for package in ('numpy', 'pin', 'daqp', 'mink', 'mujoco', 'pin-pink'):
+    for package in ('numpy', 'numba', 'pin', 'daqp', 'mink', 'mujoco', 'pin-pink'):
         try:
             found[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
@@ -164,7 +180,7 @@ def main(args: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog='benchmark.speed', description=__doc__)
     parser.add_argument('--robot', choices=tuple(_STARTS), default='panda')
     parser.add_argument('--counts', type=int, nargs='+', default=list(COUNTS), metavar='COUNT')
-    parser.add_argument('--ticks', type=int, default=400)
+    parser.add_argument('--ticks', type=int, default=2000)
     parser.add_argument('--without-peers', action='store_true')
     parser.add_argument('--json', type=Path)
     options = parser.parse_args(args)

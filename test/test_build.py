@@ -56,6 +56,7 @@ def test_the_installed_nodes_start_from_the_installed_files(workspace):
     script = f"""
         source {workspace}/install/setup.bash
         export ROS_DOMAIN_ID=104 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+        export NUMBA_DISABLE_JIT=1  # compiling for yet another place takes half a minute
         lib={workspace}/install/redundant_planner/lib/redundant_planner
         cd / && {sys.executable} -c "import redundant_planner; print(redundant_planner.__file__)"
         for node in fake_hardware_node planner_node; do

@@ -47,7 +47,7 @@ def test_they_follow_the_path_and_stop_at_the_obstacle(library):
         peer = library(robot, obstacles, 0.01)
         pose, posture, closest = Pose(arm.tip_position, arm.tip_rotation), q, np.inf
         for _ in range(500):
-            pose = integrate(pose, np.array([0.1, 0, 0, 0, 0, 0]), 0.004, 'base')
+            pose = integrate(pose, np.array([0.1, 0, 0, 0, 0, 0]), 0.004, False)
             posture = posture + 0.004 * peer.step(posture, pose, 0.004)
             now = robot.kinematics(posture)
             maps = whitening(Scene.of([ball]), [c.radius for c in robot.capsules])

@@ -510,7 +510,7 @@ def path_errors(
             if not moving[i]:
                 break
             pose = drift.integrate(
-                pose, twists[i], max(float(times[i + 1] - times[i]), 0.0), robot.command_frame)
+                pose, twists[i], max(float(times[i + 1] - times[i]), 0.0), robot.in_tool)
             points.append(pose.position)
         path: Array = np.array(points)
         at = 0

@@ -109,7 +109,7 @@ def commanded_path(robot: Robot, start: Array, times: Array, twists: Array) -> A
     pose = Pose(arm.tip_position, arm.tip_rotation)
     path = [pose.position]
     for dt, twist in zip(np.diff(times), twists):
-        pose = integrate(pose, twist, float(dt), robot.command_frame)
+        pose = integrate(pose, twist, float(dt), robot.in_tool)
         path.append(pose.position)
     return np.array(path)
 

@@ -76,9 +76,7 @@ def surroundings(
     names = tuple(scene.names[i] for i in index.tolist())
     near = Scene(names, scene.centers[index], scene.rotations[index], scene.semi_axes[index],
                  scene.velocities[index])
-    links, count = len(maps.maps), len(scene.names)
-    speeds = maps.speeds[index]
     return Surroundings(scene, near, Whitening(
-        maps.maps.reshape(links, 4, 3, count)[..., index].reshape(links, 4, -1),
-        maps.inverse[:, index], maps.rotations[index], maps.smallest[:, index],
-        maps.velocities[index], speeds, bool(speeds.any())), q, wide)
+        maps.centers[index], maps.rotations[index],
+        maps.inverse.take(index, axis=1), maps.smallest.take(index, axis=1),
+        maps.velocities[index], maps.speeds[index]), q, wide)

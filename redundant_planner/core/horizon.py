@@ -22,16 +22,15 @@ import math
 from typing import NamedTuple
 
 import daqp
-from eigenpy import LLT
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from redundant_planner.core import drift, null_space
+from redundant_planner.core.compiled import compiled, Fields, Indices, Matrix, Stack, Vector
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles import clearance_gradients, link_clearance, Whitening
-from redundant_planner.core.robot import Kinematics, Robot
+from redundant_planner.core.robot import Chain, fill, Kinematics, Robot
 
 Array = npt.NDArray[np.float64]
 TwistAhead = Callable[[Array], Array]
@@ -133,32 +132,28 @@ class Poses(NamedTuple):
         rotation: (N, 3, 3) tip axes in the base frame.
     """
 
-    position: Array
-    rotation: Array
+    position: Matrix
+    rotation: Stack
 
 
-def poses_ahead(start: Pose, twist_ahead: TwistAhead, times: Array, frame: str) -> Poses:
+def poses_ahead(start: Pose, twist_ahead: TwistAhead, times: Array, in_tool: bool) -> Poses:
     """Return where the tip has to be at times[1:].
 
     Args:
         start: the reference pose at times[0].
         twist_ahead: times from now (N,) [s] → twists (N, 6).
         times: (N + 1,) from now [s].
-        frame: the command frame.
+        in_tool: whether twists are in tool axes.
     """
-    steps = np.diff(times)
     twists = twist_ahead(0.5 * (times[:-1] + times[1:]))
-    position, rotation = np.empty((len(steps), 3)), np.empty((len(steps), 3, 3))
-    if frame == 'base':
-        turns = twists[:, 3:] * steps[:, None]
-        position[:] = start.position + (twists[:, :3] * steps[:, None]).cumsum(axis=0)
-        rotation[:] = turned = start.rotation
-        if turns.any():
-            for i, turn in enumerate(turns):
-                rotation[i] = turned = pin.exp3(turn) @ turned
-        return Poses(position, rotation)
-    for i, step in enumerate(steps):
-        start = drift.integrate(start, twists[i], step, frame)
+    return _poses_ahead(start, twists, times, in_tool)
+
+
+@compiled
+def _poses_ahead(start: Pose, twists: Matrix, times: Vector, in_tool: bool) -> Poses:
+    position, rotation = np.empty((len(twists), 3)), np.empty((len(twists), 3, 3))
+    for i in range(len(twists)):
+        start = drift.integrate(start, twists[i], times[i + 1] - times[i], in_tool)
         position[i], rotation[i] = start
     return Poses(position, rotation)
 
@@ -260,7 +255,6 @@ class Horizon:
         self._stiffness = 1.0 / np.diff(times)
         self._damping = _DAMPING * np.eye(robot.m)
         self._moving_on: tuple[float, Array] | None = None
-        self._controlled = robot.full_twist(np.ones(robot.m)) > 0.0
         self.reset()
 
     @property
@@ -348,12 +342,11 @@ class Horizon:
 
     def _sidestep(self, q: Array, aside: Array, size: float) -> tuple[Array, Array]:
         """Return a posture (n,) a step aside with the same tip pose, and the step's direction."""
-        robot = self._robot
-        tip, jacobian = robot.tip(q)
+        arm = self._robot.kinematics(q)
         step = null_space.project(
-            null_space.decompose(jacobian * self._scaling), aside / self._scaling)
+            null_space.decompose(arm.jacobian * self._scaling), aside / self._scaling)
         step *= self._scaling / max(math.sqrt(step @ step), 1e-9)
-        pose = Poses(tip.position[None], tip.rotation[None])
+        pose = Poses(arm.tip_position[None], arm.tip_rotation[None])
         return self._least_norm_path(q + size * step, pose)[0], step
 
     def _price(self, nodes: Array, maps: Whitening) -> Array:
@@ -408,27 +401,17 @@ class Horizon:
 
     def _errors(self, arms: Kinematics, poses: Poses) -> Array:
         """Return the controlled pose errors (N, m) in the command frame."""
-        errors = np.zeros((len(poses.position), 6))
-        errors[:, :3] = poses.position - arms.tip_position
-        if self._controlled[3:].any():
-            turned = poses.rotation @ arms.tip_rotation.transpose(0, 2, 1)
-            errors[:, 3:] = [pin.log3(rotation) for rotation in turned]
-        if self._robot.command_frame == 'tool':
-            errors = (errors.reshape(-1, 2, 3) @ arms.tip_rotation).reshape(-1, 6)
-        return errors[:, self._controlled]
+        return _errors(*poses, arms.tip_position, arms.tip_rotation, self._robot.rows,
+                       self._robot.in_tool)
 
     def _least_norm_path(self, q: Array, poses: Poses) -> Array:
         """Return the postures (N, n) that follow the poses with the least motion each."""
-        robot, scaling = self._robot, self._scaling
+        robot = self._robot
         nodes = np.empty((len(poses.position), len(q)))
-        for i, pose in enumerate(map(Pose, *poses)):
-            tip, jacobian = robot.tip(q)
-            error = drift.pose_error(pose, tip, robot.command_frame)[self._controlled]
-            jacobian = jacobian * scaling
-            # Eigen's Cholesky: np.linalg.solve takes three times as long on six numbers.
-            step = jacobian.T @ LLT(jacobian @ jacobian.T + self._damping).solve(error)
-            q = np.minimum(np.maximum(q + scaling * step, self._low), self._high)
-            nodes[i] = q
+        for i in range(len(nodes)):
+            q = nodes[i] = _least_norm_step(
+                q, poses.position[i], poses.rotation[i], *robot.joints(q), robot.chain,
+                self._scaling, self._low, self._high)
         return nodes
 
     def _look(
@@ -467,7 +450,8 @@ class Horizon:
         near = (pairs.distance < _NEAR).nonzero()
         reserve = pairs.clearance - _RESERVE / maps.smallest
         gradients, _ = clearance_gradients(
-            maps, pairs, near, arms.segment_start, arms.segment_end, arms.columns, robot.moves)
+            maps, pairs, near, arms.segment_start, arms.segment_end, arms.columns, robot.moves,
+            self.times[1:])
         bounds = -reserve[near] - (gradients * step[near[0]]).sum(axis=1)
         return (_Plan(nodes, cost, float(np.abs(errors).max()),
                       -float(pairs.distance.min(initial=np.inf))),
@@ -500,3 +484,44 @@ class Horizon:
             return None
         step = (w.reshape(count, 1, free) @ local.directions)[:, 0]
         return plan._replace(nodes=local.base + step)
+
+
+@compiled
+def _errors(
+    position: Matrix, rotation: Stack, tip_position: Matrix, tip_rotation: Stack, rows: Indices,
+    in_tool: bool,
+) -> Array:
+    """Return the controlled errors (N, m) of N tip poses against those due."""
+    errors = np.empty((len(position), len(rows)))
+    for i in range(len(position)):
+        due = Pose(position[i].copy(), rotation[i].copy())
+        tip = Pose(tip_position[i].copy(), tip_rotation[i].copy())
+        errors[i] = drift.pose_error(due, tip, in_tool)[rows]
+    return errors
+
+
+@compiled
+def _least_norm_step(
+    q: Vector, position: Vector, rotation: Matrix, screws: Matrix, rotations: Stack,
+    positions: Matrix, chain: Fields[Chain], scaling: Vector, low: Vector, high: Vector,
+) -> Array:
+    """Return the posture (n,) that a damped least-norm step towards a tip pose leads to.
+
+    Args:
+        q: (n,) where it starts.
+        position, rotation: the pose.
+        screws, rotations, positions, chain: see `fill`.
+        scaling: (n,) 1 / square root of the joint weights.
+        low, high: (n,) what the joints stay within.
+    """
+    n, rows, in_tool = len(q), chain[5], chain[6]
+    links = len(chain[3])
+    tip, turn, jacobian = np.empty(3), np.empty((3, 3)), np.empty((len(rows), n))
+    fill(screws, rotations, positions, chain, np.empty((6, n)), tip, turn, np.empty((6, n)),
+         jacobian, np.empty((links, 3)), np.empty((links, 3)))
+    error = drift.pose_error(
+        Pose(position.copy(), rotation.copy()), Pose(tip, turn), in_tool)[rows]
+    parts = null_space.decompose(jacobian * scaling)
+    gains = parts.singular_values / (parts.singular_values ** 2 + _DAMPING)
+    step = scaling * null_space.least_norm(parts, gains, error)
+    return np.minimum(np.maximum(q + step, low), high)

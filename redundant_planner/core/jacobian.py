@@ -5,14 +5,15 @@ With base-axes columns J_j = [v_j; w_j] of the tip point (w = 0 for a prismatic 
     ∂J_j/∂q_k = [w_k × v_j; w_k × w_j]   for k ≤ j   (joint k turns the axis of joint j)
     ∂J_j/∂q_k = [w_j × v_k; 0]           for k > j   (joint k moves the tip, not the axis of j)
 
-The planner needs only products with a joint velocity, which Pinocchio gives
-(`Robot.jacobian_derivative_times`); Eq. 17 needs the tensor itself.
+The planner needs only products with a joint velocity, in O(n); Eq. 17 needs the tensor itself.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+
+from redundant_planner.core.compiled import compiled, Indices, Matrix, Vector
 
 Array = npt.NDArray[np.float64]
 
@@ -33,3 +34,89 @@ def jacobian_derivative(jacobian: Array) -> Array:
     derivative[:, :3] = np.where(before, turned_v, moved).transpose(0, 2, 1)
     derivative[:, 3:] = np.where(before, turned_w, 0.0).transpose(0, 2, 1)
     return derivative
+
+
+@compiled
+def derivative_times(
+    jacobian: Matrix, dq: Vector, rotation: Matrix, in_tool: bool, rows: Indices,
+) -> Array:
+    """Return the columns (∂J/∂q_k) q̇ of the controlled axes, (m, n).
+
+    Of the sum over j that the tensor makes with q̇, column k takes w_k × [v_j; w_j] for j ≥ k and
+    [w_j × v_k; 0] for j < k. In tool axes, J_tool = Rᵀ J and joint k turns R as well:
+    Rᵀ ((∂J/∂q_k) q̇ − w_k × J q̇).
+
+    Args:
+        jacobian: (6, n) tip Jacobian in base axes.
+        dq: (n,) q̇.
+        rotation: (3, 3) R, tool axes in the base frame.
+        in_tool: whether the columns are wanted in tool axes.
+        rows: (m,) the controlled ones of the six axes.
+    """
+    n = len(dq)
+    columns = np.empty((len(rows), n))
+    after, before = np.zeros(6), np.zeros(3)  # Σ [v_j; w_j] q̇_j over j ≥ k, Σ w_j q̇_j over j < k
+    for j in range(n):
+        for row in range(6):
+            after[row] += jacobian[row, j] * dq[j]
+    total = after.copy()
+    full = np.empty(6)
+    for k in range(n):
+        v, w = jacobian[:3, k], jacobian[3:, k]
+        lean = total if in_tool else np.zeros(6)
+        for part in range(2):
+            x = after[3 * part:3 * part + 3] - lean[3 * part:3 * part + 3]
+            full[3 * part] = w[1] * x[2] - w[2] * x[1]
+            full[3 * part + 1] = w[2] * x[0] - w[0] * x[2]
+            full[3 * part + 2] = w[0] * x[1] - w[1] * x[0]
+        full[0] += before[1] * v[2] - before[2] * v[1]
+        full[1] += before[2] * v[0] - before[0] * v[2]
+        full[2] += before[0] * v[1] - before[1] * v[0]
+        for i in range(len(rows)):
+            row = rows[i]
+            if in_tool:
+                axes, part = rotation[:, row % 3], 3 * (row // 3)
+                columns[i, k] = (axes[0] * full[part] + axes[1] * full[part + 1]
+                                 + axes[2] * full[part + 2])
+            else:
+                columns[i, k] = full[row]
+        for row in range(6):
+            after[row] -= jacobian[row, k] * dq[k]
+        for axis in range(3):
+            before[axis] += w[axis] * dq[k]
+    return columns
+
+
+@compiled
+def rate_times(
+    jacobian: Matrix, dq: Vector, rotation: Matrix, in_tool: bool, rows: Indices,
+) -> Array:
+    """Return J̇ q̇ = Σ_k (∂J/∂q_k) q̇ · q̇_k of the controlled axes, (m,).
+
+    Args:
+        jacobian, dq, rotation, in_tool, rows: as for `derivative_times`.
+    """
+    columns = derivative_times(jacobian, dq, rotation, in_tool, rows)
+    rate = np.zeros(len(rows))
+    for i in range(len(rows)):
+        for k in range(len(dq)):
+            rate[i] += columns[i, k] * dq[k]
+    return rate
+
+
+@compiled
+def derivative_between(
+    left: Vector, jacobian: Matrix, dq: Vector, rotation: Matrix, in_tool: bool, rows: Indices,
+) -> Array:
+    """Return uᵀ (∂J/∂q_k) q̇ for every k, (n,).
+
+    Args:
+        left: (m,) u.
+        jacobian, dq, rotation, in_tool, rows: as for `derivative_times`.
+    """
+    columns = derivative_times(jacobian, dq, rotation, in_tool, rows)
+    result = np.zeros(len(dq))
+    for i in range(len(rows)):
+        for k in range(len(dq)):
+            result[k] += left[i] * columns[i, k]
+    return result

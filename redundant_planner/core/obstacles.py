@@ -15,18 +15,31 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+import math
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from redundant_planner.core.compiled import (
+    compiled,
+    Indices,
+    Matrix,
+    OutMatrix,
+    OutStack,
+    OutVector,
+    Stack,
+    Vector,
+)
 from redundant_planner.core.errors import ObstacleError
 
 Array = npt.NDArray[np.float64]
+Number = TypeVar('Number', float, Array)
 
 # Quaternions further from unit length than this are a mistake, not round-off.
 _QUATERNION_TOLERANCE = 0.01
+_TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
@@ -127,73 +140,70 @@ class Scene:
                 self.names, self.centers, self.semi_axes, self.rotations, self.velocities))
 
 
-def inflated_semi_axes(semi_axes: Array, radius: npt.ArrayLike) -> Array:
-    """Return the semi-axes of the trace-minimal ellipsoid around ellipsoid ⊕ ball.
+@compiled
+def inflated_semi_axes(semi_axes: Matrix, radii: Vector) -> Array:
+    """Return the semi-axes of the trace-minimal ellipsoids around ellipsoid ⊕ ball, (c, k, 3).
 
     With A² = diag(a²): (1+β) A² + (1+1/β) r² I, β = √(3 r² / tr A²). Adding r to the semi-axes
     instead would not contain the sum.
 
     Args:
-        semi_axes: (..., 3) [m].
-        radius: (...) ball radius, 0 or more [m].
+        semi_axes: (k, 3) [m].
+        radii: (c,) of the balls, 0 or more [m].
     """
-    squares = np.square(semi_axes)
-    r2 = np.square(np.asarray(radius, dtype=float))[..., None]
-    trace = squares.sum(axis=-1, keepdims=True)
-    # (1+β) a² + (1+1/β) r² without the division by β, which is 0 for a bare segment.
-    return np.sqrt(squares + r2 + np.sqrt(3.0 * r2 / trace) * squares
-                   + np.sqrt(r2 * trace / 3.0))
+    inflated = np.empty((len(radii), len(semi_axes), 3))
+    for ball in range(len(radii)):
+        r2 = radii[ball] * radii[ball]
+        for ellipsoid in range(len(semi_axes)):
+            a, b, c = semi_axes[ellipsoid]
+            trace = a * a + b * b + c * c
+            # r² / β without the division, as β is 0 for a bare segment.
+            beta, beyond = math.sqrt(3.0 * r2 / trace), math.sqrt(r2 * trace / 3.0)
+            for axis in range(3):
+                square = semi_axes[ellipsoid, axis] * semi_axes[ellipsoid, axis]
+                inflated[ball, ellipsoid, axis] = math.sqrt((1.0 + beta) * square + r2 + beyond)
+    return inflated
 
 
 class Whitening(NamedTuple):
-    """The maps y = A x − b that turn each inflated ellipsoid into the unit ball.
+    """What turns each inflated ellipsoid into the unit ball: y = diag(1/a) Rᵀ (x − c).
 
     Attributes:
-        maps: (c, 4, 3k) rows (x, 1) → the three entries of y, each for all k obstacles; one
-            map per link, as links differ in radius.
-        inverse: (c, k, 3) 1 / inflated semi-axes a [1/m]; A = diag(1/a) Rᵀ.
+        centers: (k, 3) c [m].
         rotations: (k, 3, 3) R.
+        inverse: (c, k, 3) 1 / inflated semi-axes a [1/m]; one per link, as links differ in
+            radius.
         smallest: (c, k) smallest inflated semi-axis [m].
         velocities: (k, 3) obstacle velocities in the base frame [m/s].
         speeds: (k,) their size [m/s].
-        moving: whether any obstacle has a velocity.
     """
 
-    maps: Array
-    inverse: Array
-    rotations: Array
-    smallest: Array
-    velocities: Array
-    speeds: Array
-    moving: bool
+    centers: Matrix
+    rotations: Stack
+    inverse: Stack
+    smallest: Matrix
+    velocities: Matrix
+    speeds: Vector
 
 
 def whitening(scene: Scene, radii: npt.ArrayLike) -> Whitening:
     """Prepare a scene for links of the given radii (c,) [m]."""
-    radii = np.asarray(radii, dtype=float)
-    inverse = 1.0 / inflated_semi_axes(scene.semi_axes[None], radii[:, None])
-    # Rᵀ and −Rᵀ c, with the obstacles last: what the links share, but for the scale of its rows.
-    shared = np.empty((4, 3, len(scene.names)))
-    shared[:3] = scene.rotations.transpose(1, 2, 0)
-    shared[3] = -(scene.centers[:, None] @ scene.rotations)[:, 0].T
-    maps = shared * inverse.transpose(0, 2, 1)[:, None]
+    inflated = inflated_semi_axes(scene.semi_axes, np.array(radii, dtype=float))
+    smallest = np.minimum(np.minimum(inflated[..., 0], inflated[..., 1]), inflated[..., 2])
     speeds = np.sqrt(np.square(scene.velocities).sum(axis=-1))
-    return Whitening(maps.reshape(len(radii), 4, -1), inverse, scene.rotations,
-                     1.0 / inverse.max(axis=-1), scene.velocities,
-                     speeds, bool(speeds.any()))
+    return Whitening(np.array(scene.centers), np.array(scene.rotations), 1.0 / inflated, smallest,
+                     np.array(scene.velocities), speeds)
 
 
 class Pairs(NamedTuple):
     """Every link × every obstacle, at one posture or at each of N postures (then N leads).
 
     Attributes:
-        whitened: (c, 3, k) y at the link's nearest point, |y| = ρ + 1.
-        clearance: (c, k) ρ there; negative inside.
+        clearance: (c, k) ρ, the smallest over the link; negative inside.
         distance: (c, k) [m] ρ times the smallest semi-axis: never more than the true distance.
         parameter: (c, k) where on the segment, 0 at its start, 1 at its end.
     """
 
-    whitened: Array
     clearance: Array
     distance: Array
     parameter: Array
@@ -213,23 +223,56 @@ def link_clearance(
         times: (N,) with N postures, when each of them is reached: obstacles that move have
             moved by then [s].
     """
-    ends = np.zeros((*start.shape[:-1], 2, 4))
-    ends[..., 0, :3] = start
-    ends[..., 0, 3] = 1.0
-    ends[..., 1, :3] = end - start
-    # One product takes every link's start and direction to every obstacle's coordinates.
-    whitened = (ends @ maps.maps).reshape(*start.shape[:-1], 2, 3, -1)
-    first, along = whitened[..., 0, :, :], whitened[..., 1, :, :]
-    if times is not None and maps.moving:
-        local = (maps.velocities[:, None] @ maps.rotations)[:, 0]
-        flow = (maps.inverse * local).transpose(0, 2, 1)
-        first = first - times[:, None, None, None] * flow
-    squared = (along * along).sum(axis=-2)
-    parameter = -(first * along).sum(axis=-2) / np.maximum(squared, np.finfo(float).tiny)
-    parameter = np.minimum(np.maximum(parameter, 0.0), 1.0)
-    nearest = first + parameter[..., None, :] * along
-    clearance = np.sqrt((nearest * nearest).sum(axis=-2)) - 1.0
-    return Pairs(nearest, clearance, clearance * maps.smallest, parameter)
+    shape = (*start.shape[:-1], len(maps.centers))
+    pairs = Pairs(np.empty(shape), np.empty(shape), np.empty(shape))
+    if start.ndim == 2:
+        _link_clearance(maps, start, end, 0.0, *pairs)
+    else:
+        _link_clearance_along(
+            maps, start, end, np.zeros(len(start)) if times is None else times, *pairs)
+    return pairs
+
+
+@compiled
+def _link_clearance(
+    maps: Whitening, start: Matrix, end: Matrix, time: float, clearance: OutMatrix,
+    distance: OutMatrix, parameter: OutMatrix,
+) -> None:
+    """Write the fields of `Pairs` for one posture, reached at a time from now [s]."""
+    y, d = np.empty(3), np.empty(3)
+    for link in range(len(start)):
+        for obstacle in range(len(maps.centers)):
+            squared, product = 0.0, 0.0
+            for row in range(3):
+                y[row], d[row] = 0.0, 0.0
+                for axis in range(3):
+                    turn, x = maps.rotations[obstacle, axis, row], start[link, axis]
+                    center = (maps.centers[obstacle, axis]
+                              + time * maps.velocities[obstacle, axis])
+                    y[row] += turn * (x - center)
+                    d[row] += turn * (end[link, axis] - x)
+                y[row] *= maps.inverse[link, obstacle, row]
+                d[row] *= maps.inverse[link, obstacle, row]
+                product += y[row] * d[row]
+                squared += d[row] * d[row]
+            t = min(max(-product / max(squared, _TINY), 0.0), 1.0)
+            level = 0.0
+            for row in range(3):
+                level += (y[row] + t * d[row]) ** 2
+            clearance[link, obstacle] = math.sqrt(level) - 1.0
+            distance[link, obstacle] = clearance[link, obstacle] * maps.smallest[link, obstacle]
+            parameter[link, obstacle] = t
+
+
+@compiled
+def _link_clearance_along(
+    maps: Whitening, start: Stack, end: Stack, times: Vector, clearance: OutStack,
+    distance: OutStack, parameter: OutStack,
+) -> None:
+    """Do what `_link_clearance` does at each of N postures."""
+    for i in range(len(times)):
+        _link_clearance(maps, start[i], end[i], times[i], clearance[i], distance[i],
+                        parameter[i])
 
 
 def surface_point(scene: Scene, obstacle: int, start: Array, end: Array) -> tuple[Array, Array]:
@@ -252,14 +295,14 @@ def surface_point(scene: Scene, obstacle: int, start: Array, end: Array) -> tupl
     return point, center + (point - center) / max(float(pairs.clearance[0, 0]) + 1.0, 1e-9)
 
 
-def pseudo_distance(clearance: Array) -> Array:
+def pseudo_distance(clearance: Number) -> Number:
     """Return S (Eq. 6) of the level ρ: S = (ρ + 1)² − 1."""
     return clearance * (clearance + 2.0)
 
 
 def clearance_gradients(
     maps: Whitening, pairs: Pairs, chosen: tuple[npt.NDArray[np.intp], ...], start: Array,
-    end: Array, columns: Array, moves: Array,
+    end: Array, columns: Array, moves: Array, times: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return ∂ρ/∂q and ∂ρ/∂t of the chosen pairs.
 
@@ -273,37 +316,151 @@ def clearance_gradients(
         start, end: the segments, as for `link_clearance` [m].
         columns: (6, n) joint screws at the base origin, or (N, 6, n).
         moves: (c, n) 1 where a joint moves a link, else 0.
+        times: as for `link_clearance`.
 
     Returns:
         (p, n) gradients in q, and (p,) rates of ρ caused by the obstacles' own motion.
     """
-    segments, link, obstacles = chosen[:-1], chosen[-2], chosen[-1]
-    y = np.moveaxis(pairs.whitened, -2, -1)[chosen]
-    # In an ellipsoid's very centre every direction is as good: the guard leaves a zero gradient.
-    y /= np.maximum(pairs.clearance[chosen] + 1.0, 1e-9)[:, None]
-    slope = (maps.rotations[obstacles] @ (y * maps.inverse[link, obstacles])[:, :, None])[..., 0]
-    first = start[segments]
-    point = first + pairs.parameter[chosen][:, None] * (end[segments] - first)
-    wrench = wrenches(point, slope)
-    if len(segments) == 1:
-        gradient = wrench @ columns
+    count, n = len(chosen[0]), columns.shape[-1]
+    gradient, rate = np.empty((count, n)), np.empty(count)
+    if start.ndim == 2:
+        links, obstacles = chosen
+        _clearance_gradients(
+            maps, pairs.parameter, links, obstacles, start, end, columns, moves, gradient, rate)
     else:
-        gradient = (wrench[:, None] @ columns[segments[0]])[:, 0]
-    gradient *= moves[link]
-    if not maps.moving:
-        return gradient, np.zeros(len(y))
-    return gradient, -(slope * maps.velocities[obstacles]).sum(axis=-1)
+        postures, links, obstacles = chosen
+        _clearance_gradients_along(
+            maps, pairs.parameter, postures, links, obstacles, start, end, columns, moves,
+            np.zeros(len(start)) if times is None else times, gradient, rate)
+    return gradient, rate
 
 
-def wrenches(points: Array, forces: Array) -> Array:
-    """Return the rows [f, x × f], (p, 6), of forces (p, 3) acting at points (p, 3).
+@compiled
+def _clearance_gradient(
+    maps: Whitening, link: int, obstacle: int, first: Vector, last: Vector, t: float,
+    columns: Matrix, moves: Vector, time: float, gradient: OutVector,
+) -> float:
+    """Write the gradient of one pair and return its rate."""
+    rotation, velocity = maps.rotations[obstacle], maps.velocities[obstacle]
+    inverse = maps.inverse[link, obstacle]
+    point = first + t * (last - first)
+    y, slope = np.zeros(3), np.zeros(3)
+    for row in range(3):
+        for axis in range(3):
+            center = maps.centers[obstacle, axis] + time * velocity[axis]
+            y[row] += rotation[axis, row] * (point[axis] - center)
+        y[row] *= inverse[row]
+    # In an ellipsoid's very centre every direction is as good: the guard leaves a zero gradient.
+    size = max(math.sqrt(y[0] * y[0] + y[1] * y[1] + y[2] * y[2]), 1e-9)
+    rate = 0.0
+    for axis in range(3):
+        for row in range(3):
+            slope[axis] += rotation[axis, row] * y[row] * inverse[row] / size
+        rate -= slope[axis] * velocity[axis]
+    x1, x2, x3 = point
+    f1, f2, f3 = slope
+    for j in range(len(gradient)):
+        gradient[j] = 0.0
+        if moves[j] != 0.0:
+            v1, v2, v3, w1, w2, w3 = columns[:, j]
+            gradient[j] = (f1 * v1 + f2 * v2 + f3 * v3 + (x2 * f3 - x3 * f2) * w1
+                           + (x3 * f1 - x1 * f3) * w2 + (x1 * f2 - x2 * f1) * w3)
+    return rate
 
-    Their products with the joint screws are the joints' shares in f · ẋ.
+
+@compiled
+def _clearance_gradients(
+    maps: Whitening, parameter: Matrix, links: Indices, obstacles: Indices, start: Matrix,
+    end: Matrix, columns: Matrix, moves: Matrix, gradient: OutMatrix, rate: OutVector,
+) -> None:
+    """Write what `clearance_gradients` returns for one posture."""
+    for i in range(len(links)):
+        link, obstacle = links[i], obstacles[i]
+        rate[i] = _clearance_gradient(
+            maps, link, obstacle, start[link], end[link], parameter[link, obstacle], columns,
+            moves[link], 0.0, gradient[i])
+
+
+@compiled
+def _clearance_gradients_along(
+    maps: Whitening, parameter: Stack, postures: Indices, links: Indices, obstacles: Indices,
+    start: Stack, end: Stack, columns: Stack, moves: Matrix, times: Vector,
+    gradient: OutMatrix, rate: OutVector,
+) -> None:
+    """Write what `clearance_gradients` returns for N postures."""
+    for i in range(len(links)):
+        at, link, obstacle = postures[i], links[i], obstacles[i]
+        rate[i] = _clearance_gradient(
+            maps, link, obstacle, start[at, link], end[at, link], parameter[at, link, obstacle],
+            columns[at], moves[link], times[at], gradient[i])
+
+
+class NearPairs(NamedTuple):
+    """The pairs of links and obstacles that count in a tick.
+
+    Attributes:
+        links, obstacles: (p,) indices.
+        clearance: (p,) ρ.
+        distance: (p,) not more than the true distance [m].
+        gradient: (p, n) ∂ρ/∂q.
+        rate: (p,) ∂ρ/∂t from the obstacles' own motion [1/s].
+        acting: (a,) which of them have a barrier that could act in this tick.
+        nearest_link, nearest_obstacle: the pair of smallest distance, −1 without obstacles,
+        nearest_clearance, nearest_distance: and its ρ and distance [m].
     """
-    result = np.empty((len(points), 6))
-    result[:, :3] = forces
-    x, f = points.T, forces.T
-    result[:, 3] = x[1] * f[2] - x[2] * f[1]
-    result[:, 4] = x[2] * f[0] - x[0] * f[2]
-    result[:, 5] = x[0] * f[1] - x[1] * f[0]
-    return result
+
+    links: Indices
+    obstacles: Indices
+    clearance: Vector
+    distance: Vector
+    gradient: Matrix
+    rate: Vector
+    acting: Indices
+    nearest_link: int
+    nearest_obstacle: int
+    nearest_clearance: float
+    nearest_distance: float
+
+
+@compiled
+def near_pairs(
+    maps: Whitening, start: Matrix, end: Matrix, columns: Matrix, moves: Matrix,
+    speeds: Vector, rate: float, influence_distance: float,
+) -> NearPairs:
+    """Return the pairs that are within the influence distance, or whose barrier could act.
+
+    Args:
+        maps: the obstacles.
+        start, end, columns, moves: as for `clearance_gradients`.
+        speeds: (c,) the fastest any point of a link may move in this tick [m/s].
+        rate: share of a clearance that may be used up per second [1/s].
+        influence_distance: [m].
+    """
+    shape = maps.smallest.shape
+    clearance, distance, parameter = np.empty(shape), np.empty(shape), np.empty(shape)
+    _link_clearance(maps, start, end, 0.0, clearance, distance, parameter)
+    links, obstacles = np.empty(distance.size, np.intp), np.empty(distance.size, np.intp)
+    acting = np.empty(distance.size, np.intp)
+    count, acts, link_at, obstacle_at, least = 0, 0, -1, -1, np.inf
+    for link in range(shape[0]):
+        for obstacle in range(shape[1]):
+            far = distance[link, obstacle]
+            if far < least:
+                link_at, obstacle_at, least = link, obstacle, far
+            could_act = far <= (speeds[link] + maps.speeds[obstacle]) / rate
+            if could_act or far <= influence_distance:
+                links[count], obstacles[count] = link, obstacle
+                if could_act:
+                    acting[acts] = count
+                    acts += 1
+                count += 1
+    near, at = np.empty(count), np.empty(count)
+    gradient, rates = np.empty((count, columns.shape[1])), np.empty(count)
+    _clearance_gradients(maps, parameter, links[:count], obstacles[:count], start, end, columns,
+                         moves, gradient, rates)
+    for i in range(count):
+        near[i] = clearance[links[i], obstacles[i]]
+        at[i] = distance[links[i], obstacles[i]]
+    return NearPairs(
+        links[:count], obstacles[:count], near, at, gradient, rates, acting[:acts], link_at,
+        obstacle_at, clearance[link_at, obstacle_at] if link_at >= 0 else np.inf, least)

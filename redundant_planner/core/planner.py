@@ -6,22 +6,31 @@ a section of docs/derivations.md and docs/safety.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core import drift, indices, null_space, safety
 from redundant_planner.core.broad_phase import FEW, Surroundings, surroundings
+from redundant_planner.core.compiled import (
+    compiled,
+    Fields,
+    IndexPairs,
+    Indices,
+    Matrix,
+    OutVector,
+    Vector,
+)
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.horizon import continued, Horizon, node_times, poses_ahead, TwistAhead
+from redundant_planner.core.jacobian import derivative_between, rate_times
 from redundant_planner.core.obstacles import (
     clearance_gradients,
     link_clearance,
-    Pairs,
+    near_pairs,
     pseudo_distance,
     Scene,
     Whitening,
@@ -29,7 +38,7 @@ from redundant_planner.core.obstacles import (
 )
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import Kinematics, Robot
-from redundant_planner.core.self_collision import distance_gradients, link_distances
+from redundant_planner.core.self_collision import near_links
 
 Array = npt.NDArray[np.float64]
 
@@ -47,7 +56,6 @@ _FIRST_STEPS = 100
 _FOUND_INSIDE = 1e-3
 # Over how long the trend of a held command is averaged [s].
 _TREND = 0.1
-_NO_PAIRS = np.empty(0, dtype=np.intp)
 
 
 class Nearest(NamedTuple):
@@ -65,43 +73,121 @@ class Nearest(NamedTuple):
     distance: float
 
 
-class _Near(NamedTuple):
-    """The pairs of links and obstacles that count in a tick.
+class _Arm(NamedTuple):
+    """What stays the same from tick to tick about the robot.
 
     Attributes:
-        links, obstacles: (p,) indices.
-        clearance: (p,) ρ.
-        distance: (p,) not more than the true distance [m].
-        gradient: (p, n) ∂ρ/∂q.
-        rate: (p,) ∂ρ/∂t from the obstacles' own motion [1/s].
-        acts: (p,) whether the pair's barrier could act in this tick.
+        position_min, position_max, velocity_max, acceleration_max: (n,) see `Robot`.
+        scaling: (n,) 1 / square root of the joint weights.
+        levers, moves: (c, n) see `Robot`.
+        radii: (c,) of the links, half the self-collision margin included [m].
+        self_pairs: (p, 2) links that can run into each other; none if that is switched off.
+        self_moves, self_levers: (p, n) see `near_links`.
+        rows: (m,) the controlled ones of the six axes.
+        in_tool: whether J and twists are in tool axes.
+        positions, position_margin: see `safety.Limits`.
     """
 
-    links: npt.NDArray[np.intp]
-    obstacles: npt.NDArray[np.intp]
-    clearance: Array
-    distance: Array
-    gradient: Array
-    rate: Array
-    acts: npt.NDArray[np.bool_]
+    position_min: Vector
+    position_max: Vector
+    velocity_max: Vector
+    acceleration_max: Vector
+    scaling: Vector
+    levers: Matrix
+    moves: Matrix
+    radii: Vector
+    self_pairs: IndexPairs
+    self_moves: Matrix
+    self_levers: Matrix
+    rows: Indices
+    in_tool: bool
+    positions: Matrix
+    position_margin: float
 
-    def acting(self) -> _Near:
-        """Return those whose barrier could act."""
-        acts = self.acts
-        return _Near(self.links[acts], self.obstacles[acts], self.clearance[acts],
-                     self.distance[acts], self.gradient[acts], self.rate[acts], acts[acts])
+
+class _Settings(NamedTuple):
+    """Parameters that a tick takes; `PlannerParameters` says what they mean."""
+
+    k_w: float
+    k_s: float
+    k_f: float
+    k_m: float
+    k_alpha: float
+    k_fixed: float
+    clearance_smoothing: float
+    influence_distance: float
+    damping_threshold: float
+    damping: float
+    singularity_margin: float
+    barrier_gain: float
+    drift_gain: float
+    drift_speed: float
+    drift_angular_speed: float
+    drift_distance: float
+    drift_angle: float
 
 
-class _Pace(NamedTuple):
-    """How far a tick can lead.
+class _Task(NamedTuple):
+    """What the tip shall do in a tick, in the controlled axes of the command frame.
 
     Attributes:
-        rate: share of a reserve that may be used up per second [1/s].
-        fastest: (n,) the fastest the joints may move [rad/s, m/s].
+        wanted: (m,) the command.
+        back: (m,) what leads back to the reference pose.
+        turning: (m,) what comes of J's turning within the tick, ½ dt J̇ q̇.
+        error: (6,) reference pose minus the tip's.
+        reference: the reference pose, which is brought along when it is out of reach.
     """
 
-    rate: float
-    fastest: Array
+    wanted: Vector
+    back: Vector
+    turning: Vector
+    error: Vector
+    reference: Pose
+
+
+class _Desired(NamedTuple):
+    """What the method asks for, and what the safety filter needs to know.
+
+    Attributes:
+        dq: (n,) Eq. 1.
+        least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
+        smallest: J's smallest singular value.
+        gradient, drift, reserve: of the barriers, see `safety.Barriers`.
+        singular: how many of the last barriers keep away from a singularity.
+        intruded: whether an obstacle moves towards the arm, or the arm was found too close.
+        pairs: (a + k, 2) links and obstacles, then links and links, that the barriers are about.
+        outer: a, how many of these are about obstacles.
+        nearest_link, nearest_obstacle, nearest_clearance, nearest_distance: see `NearPairs`.
+        admissible: whether `dq` breaks no limit and no barrier.
+        wanted, back, turning, error: see `_Task`.
+        position, rotation: of the reference pose there.
+    """
+
+    dq: Vector
+    least_norm: Vector
+    homogeneous: Vector
+    factor: float
+    clearance_index: float
+    manipulability: float
+    smallest: float
+    gradient: Matrix
+    drift: Vector
+    reserve: Vector
+    singular: int
+    intruded: bool
+    pairs: IndexPairs
+    outer: int
+    nearest_link: int
+    nearest_obstacle: int
+    nearest_clearance: float
+    nearest_distance: float
+    admissible: bool
+    wanted: Vector
+    back: Vector
+    turning: Vector
+    error: Vector
+    position: Vector
+    rotation: Matrix
 
 
 class StepResult(NamedTuple):
@@ -155,11 +241,7 @@ class Planner:
         self.robot = robot
         self._maps_of: tuple[Scene, Whitening] | None = None
         self._radii = np.array([c.radius for c in robot.capsules])
-        # Only the joints between two links bring these nearer to each other.
-        self._self_moves = robot.moves[robot.self_pairs[:, 0]] - robot.moves[
-            robot.self_pairs[:, 1]]
-        self._self_levers = np.abs(self._self_moves) * robot.levers[robot.self_pairs].max(axis=1)
-        self._controlled = robot.full_twist(np.ones(robot.m)) > 0.0
+        self._controlled = robot.full_twist(np.ones(robot.m))
         self.parameters = parameters
         self.reset()
 
@@ -183,17 +265,20 @@ class Planner:
             raise ParameterError(f"parameter 'position_margin' is {margin}; joint '{name}' has "
                                  'no range left between its limits')
         self._parameters = parameters
-        self._self_known: tuple[Array, Array] | None = None
         self._weights = weights
+        self._limits = safety.Limits(
+            np.array((robot.position_max - margin, robot.position_min + margin)),
+            robot.velocity_max, robot.acceleration_max, margin)
         self._scaling = 1.0 / np.sqrt(weights)
+        self._arm: tuple[Any, ...] = tuple(_constants(
+            robot, self._scaling, self._limits, self._radii, parameters.self_collision_margin))
+        self._settings = tuple(float(getattr(parameters, name)) for name in _Settings._fields)
+        self._forget_links()
         self._horizons = tuple(
             Horizon(robot, node_times(duration, parameters.horizon_nodes), self._scaling,
                     robot.position_min + margin, robot.position_max - margin)
             for duration in (parameters.horizon, parameters.horizon_held))
         self._horizon: Horizon | None = None
-        self._limits = safety.Limits(
-            np.array((robot.position_max - margin, robot.position_min + margin)),
-            robot.velocity_max, robot.acceleration_max, margin)
         self._maps_of = None
         self._around: Surroundings | None = None
 
@@ -202,11 +287,16 @@ class Planner:
         self._previous = np.zeros(self.robot.n)
         self._path_velocity: Array = np.zeros(self.robot.m)
         self._reference: Pose | None = None
-        self._self_known = None
+        self._forget_links()
         self._command: Array = np.zeros(6)
         self._growth = 0.0
         self._horizon = None
         self._around = None
+
+    def _forget_links(self) -> None:
+        """Forget where the links were last measured against each other."""
+        self._known_at = np.full(self.robot.n, np.nan)
+        self._known = np.empty(len(_Arm(*self._arm).self_pairs))
 
     @property
     def reference(self) -> Pose | None:
@@ -238,112 +328,71 @@ class Planner:
             StateError: `q` or `twist` does not fit the robot, or `dt` is not positive.
         """
         robot, p = self.robot, self._parameters
-        command = self._checked_command(twist, dt)
+        command, commanded = self._checked_command(twist, dt)
         first = self._reference is None
         arm = robot.kinematics(q)
-
-        # ẋ: the command plus what brings the tip back to the reference pose (§ drift).
         pose = Pose(arm.tip_position, arm.tip_rotation)
-        error = self._path_error(pose)
-        correction = drift.feedback(error, p.drift_gain, p.drift_speed, p.drift_angular_speed)
-        if not command.any() and float(np.abs(error).max()) < _AT_REST:
-            correction = np.zeros(6)
-        turning: Array = np.zeros(robot.m)
-        if p.drift_gain > 0.0:
-            # J turns while the arm moves: half of that belongs to the tick ahead.
-            turning = 0.5 * dt * robot.jacobian_rate_times(arm, self._previous)
-        task = robot.task_rows(command + correction) - turning
 
-        # J⁺ẋ, in coordinates in which every joint costs the same.
-        parts = null_space.decompose(arm.jacobian * self._scaling)
-        gains = null_space.inverse_gains(
-            parts.singular_values, p.damping_threshold, p.damping)
-        least_norm = null_space.least_norm(parts, gains, task)
+        reference = pose if self._reference is None else self._reference
 
-        # ∇H, Eq. 18, and k P∇H, Eqs. 1 and 2.
-        pace = self._pace(dt)
+        # What there is to evade; for the variational method, the way around it.
         self.prepare(scene)
-        around, maps, pairs = self._clearances(arm, scene, pace)
-        near = self._near(arm, maps, pairs, pace)
+        around, maps = self._surroundings(arm, scene, dt)
         shortest = None
         if p.method == 'variational':
-            shortest = self._shortest_path(arm, command, ahead, first, dt)
-        level, clearance = self._clearance_gradient(arm, near, scene)
+            shortest = self._shortest_path(arm, reference, command, ahead, first, dt)
         fallback = p.method == 'variational' and shortest is None
-        if shortest is not None:
-            factor, projected = 1.0, null_space.project(parts, shortest / self._scaling)
-        else:
-            gradient = self._total_gradient(arm, clearance, parts, gains, least_norm, task)
-            projected = null_space.project(parts, gradient * self._scaling)
-            factor = p.k_fixed
-            if p.method != 'gradient_projection':
-                factor = null_space.dynamic_factor(
-                    p.k_alpha, _size(least_norm), _size(projected))
-        least_norm = self._scaling * least_norm
-        homogeneous = self._scaling * (factor * projected)
-        dq = least_norm + homogeneous  # Eq. 1
 
-        scale, stage, reason = 1.0, safety.Stage.DESIRED, ''
-        followed = arm.jacobian @ dq - task + robot.task_rows(command)
-        if p.safety_filter:
-            result, reason = self._filtered(
-                dq, parts, arm, command, correction, turning, near, around, pace, dt)
+        # ẋ and J⁺ẋ + k P∇H: Eqs. 1, 2 and 18.
+        by_joints = self._clearance_over_joints(arm, scene)
+        desired = _desired(
+            tuple(arm), *reference, command, tuple(maps), self._arm, self._settings,
+            self._previous, self._known_at, self._known, p.method == 'gradient_projection',
+            shortest is not None, self._previous if shortest is None else shortest,
+            by_joints is not None, *(by_joints or (0.0, self._previous)), dt)
+
+        dq, scale, stage, reason = desired.dq, 1.0, safety.Stage.DESIRED, ''
+        followed = desired.wanted
+        if not p.safety_filter:
+            followed = arm.jacobian @ dq + desired.turning - desired.back
+        elif not desired.admissible:
+            result = self._filtered(desired, arm, dt)
             dq, scale, stage = result.dq, result.scale, result.stage
+            reason = self._reason(result, commanded, desired, around, dt)
             # What was followed of the path; neither the way back to it nor what was yielded.
-            followed = scale * robot.task_rows(command) + result.coast * self._path_velocity
+            followed = scale * desired.wanted + result.coast * self._path_velocity
 
         if fallback:
             reason = '; '.join(filter(None, (
                 'no joint path ahead was found: dynamic_factor steps in', reason)))
-        assert self._reference is not None
         self._reference = drift.integrate(
-            self._reference, robot.full_twist(followed), dt, robot.command_frame)
+            Pose(desired.position, desired.rotation), robot.full_twist(followed), dt,
+            robot.in_tool)
         self._path_velocity = followed
         self._previous = dq
         return StepResult(
-            dq.copy(), least_norm, homogeneous, factor, scale, stage, reason, level,
-            self._nearest(pairs, around), parts.manipulability, pose, error)
+            dq.copy(), desired.least_norm, desired.homogeneous, desired.factor, scale, stage,
+            reason, desired.clearance_index, self._nearest(desired, around),
+            desired.manipulability, pose, desired.error)
 
-    def _checked_command(self, twist: Array, dt: float) -> Array:
-        """Return the controlled part of the twist, no faster than the speed limits."""
+    def _checked_command(self, twist: Array, dt: float) -> tuple[Array, bool]:
+        """Return the controlled part of the twist, no faster than the speed limits.
+
+        And whether there is any.
+        """
         command = np.array(twist, dtype=float)
-        if command.shape != (6,) or not np.isfinite(command).all():
+        if command.shape != (6,) or not all(map(math.isfinite, command.tolist())):
             raise StateError(f'twist is {command.tolist()}; it takes six finite numbers '
                              '[m/s, rad/s]')
-        if not (np.isfinite(dt) and dt > 0.0):
+        if not (math.isfinite(dt) and dt > 0.0):
             raise StateError(f'dt is {dt}; it must be positive [s]')
-        if self.robot.m < 6:
-            command[~self._controlled] = 0.0
-        linear_max, angular_max = (
-            self._parameters.linear_speed_max, self._parameters.angular_speed_max)
-        vx, vy, vz, wx, wy, wz = command.tolist()
-        # Bounded first: the norm of an absurd twist would overflow.
-        excess = max(abs(vx), abs(vy), abs(vz), abs(wx), abs(wy), abs(wz)) / _ABSURD
-        if excess > 1.0:
-            return self._checked_command(command / excess, dt)
-        # A limit of 0 lets nothing pass.
-        return command / max(math.hypot(vx, vy, vz) / max(linear_max, _STANDSTILL),
-                             math.hypot(wx, wy, wz) / max(angular_max, _STANDSTILL), 1.0)
-
-    def _path_error(self, pose: Pose) -> Array:
-        """Return the error against the reference, nothing on axes that are not controlled.
-
-        A reference that is out of reach, or has drifted on those axes, is brought along.
-        """
-        if self._reference is None:
-            self._reference = pose
-            return np.zeros(6)
-        frame, p = self.robot.command_frame, self._parameters
-        error = drift.pose_error(self._reference, pose, frame)
-        if self.robot.m < 6:
-            error[~self._controlled] = 0.0
-        kept = drift.bounded(error, p.drift_distance, p.drift_angle)
-        if self.robot.m < 6 or kept is not error:
-            self._reference = drift.displaced(pose, kept, frame)
-        return kept
+        commanded = _limit_speed(command, self._controlled, self._parameters.linear_speed_max,
+                                 self._parameters.angular_speed_max)
+        return command, commanded
 
     def _shortest_path(
-        self, arm: Kinematics, command: Array, ahead: TwistAhead | None, first: bool, dt: float,
+        self, arm: Kinematics, reference: Pose, command: Array, ahead: TwistAhead | None,
+        first: bool, dt: float,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
 
@@ -353,7 +402,6 @@ class Planner:
         if self.robot.n == self.robot.m:
             return np.zeros(self.robot.n)
         growth = self._growth_of(command, dt)
-        assert self._reference is not None
         horizon = self._horizons[ahead is None]
         if horizon is not self._horizon:
             self._horizon = horizon
@@ -362,10 +410,11 @@ class Planner:
         def twist_ahead(times: Array) -> Array:
             if ahead is None:
                 return continued(command, growth, times)
-            return np.where(self._controlled, ahead(times), 0.0)
+            return self._controlled * ahead(times)
 
-        poses = poses_ahead(
-            self._reference, twist_ahead, horizon.times, self.robot.command_frame)
+        reference = _task(arm, reference, command, self._previous, _Arm(*self._arm),
+                          self._settings, dt).reference
+        poses = poses_ahead(reference, twist_ahead, horizon.times, self.robot.in_tool)
         steps = _FIRST_STEPS if first and ahead is not None else 1
         assert self._maps_of is not None
         return horizon.advance(arm.q, poses, self._maps_of[1], dt, steps)
@@ -381,204 +430,299 @@ class Planner:
         self._command = command
         return self._growth
 
-    def _clearances(
-        self, arm: Kinematics, scene: Scene, pace: _Pace,
-    ) -> tuple[Scene, Whitening, Pairs]:
-        """Return every link × every obstacle that can matter; links carry the clearance margin."""
+    def _surroundings(
+        self, arm: Kinematics, scene: Scene, dt: float,
+    ) -> tuple[Scene, Whitening]:
+        """Return the obstacles that can matter; their links carry the clearance margin."""
         assert self._maps_of is not None
-        maps, ends = self._maps_of[1], (arm.segment_start, arm.segment_end)
+        maps = self._maps_of[1]
         if len(scene.names) < FEW:
-            return scene, maps, link_clearance(maps, *ends)
-        fastest_obstacle = float(maps.speeds.max())
-        reach = np.maximum((self.robot.levers @ pace.fastest + fastest_obstacle) / pace.rate,
+            return scene, maps
+        speeds, rate = _pace(self._previous, self._arm, self._settings, dt)[1:]
+        reach = np.maximum((speeds + float(maps.speeds.max())) / rate,
                            self._parameters.influence_distance)
         if self._around is None or not self._around.hold(
                 scene, arm.q, self.robot.levers, reach):
-            self._around = surroundings(
-                scene, maps, link_clearance(maps, *ends), arm.q, reach)
-        around = self._around
-        return around.near, around.maps, link_clearance(around.maps, *ends)
+            pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
+            self._around = surroundings(scene, maps, pairs, arm.q, reach)
+        return self._around.near, self._around.maps
 
-    def _near(self, arm: Kinematics, maps: Whitening, pairs: Pairs, pace: _Pace) -> _Near:
-        """Return the pairs that count in this tick, all of them, and their gradients.
-
-        Those are the pairs within the influence distance, and those whose barrier could act: no
-        point of a link moves faster than Σ |q̇_j| lever_j.
-        """
-        speeds = (self.robot.levers @ pace.fastest)[:, None] + maps.speeds
-        acts = pairs.distance <= speeds / pace.rate
-        near = (acts | (pairs.distance <= self._parameters.influence_distance)).nonzero()
-        gradient, rate = clearance_gradients(
-            maps, pairs, near, arm.segment_start, arm.segment_end, arm.columns,
-            self.robot.moves)
-        links, obstacles = near
-        return _Near(
-            links, obstacles, pairs.clearance[near], pairs.distance[near], gradient, rate,
-            acts[near])
-
-    def _clearance_gradient(
-        self, arm: Kinematics, near: _Near, scene: Scene,
-    ) -> tuple[float, Array]:
-        """Return H_w of Eq. 7 and ∇H_w, over whole links or, as the paper does, over joints."""
+    def _clearance_over_joints(
+        self, arm: Kinematics, scene: Scene,
+    ) -> tuple[float, Array] | None:
+        """Return H_w of Eq. 7 and ∇H_w over the joints, as the paper has it, if asked for."""
         p, robot = self._parameters, self.robot
-        clearance, distance, gradient = near.clearance, near.distance, near.gradient
-        if p.clearance_points == 'joints':
-            points = robot.joint_points(arm.q)
-            maps = whitening(scene, np.zeros(len(points)))
-            pairs = link_clearance(maps, points, points)
-            clearance, distance = pairs.clearance.ravel(), pairs.distance.ravel()
-            every = np.isfinite(pairs.clearance).nonzero()
-            gradient, _ = clearance_gradients(
-                maps, pairs, every, points, points, arm.columns,
-                moves=np.tril(np.ones((len(points), robot.n))))
-        level, slopes = indices.clearance_index(
-            clearance, distance, smoothing=p.clearance_smoothing,
-            influence_distance=p.influence_distance)
-        return level, slopes @ gradient
-
-    def _total_gradient(
-        self, arm: Kinematics, clearance: Array, parts: null_space.Decomposition, gains: Array,
-        least_norm: Array, task: Array,
-    ) -> Array:
-        """Return ∇H of Eq. 18; an index of no weight costs nothing."""
-        p, robot = self._parameters, self.robot
-        joint_limit: Array = np.zeros(robot.n)
-        shortest_path: Array = np.zeros(robot.n)
-        if p.k_s > 0.0:
-            _, joint_limit = indices.joint_limit_index(
-                arm.q, robot.position_min, robot.position_max)
-        if p.k_f > 0.0:
-            dual = parts.left @ (gains * gains * (parts.left.T @ task))
-            _, shortest_path = indices.shortest_path_index(
-                least_norm, dual, robot.jacobian_derivative_times(arm, self._scaling * least_norm))
-        manipulability: Array = np.zeros(robot.n)
-        nearness = parts.singular_values[-1] / max(p.singularity_margin, 1e-9) - 1.0
-        if p.k_m > 0.0 and nearness < 1.0:
-            changes = np.array([
-                left @ robot.jacobian_derivative_times(arm, self._scaling * right)
-                for left, right in zip(parts.left.T, parts.right)])
-            _, manipulability = indices.manipulability_index(parts, changes)
-            manipulability = indices.fade(nearness) * manipulability
-        return indices.total_gradient(
-            clearance, joint_limit, shortest_path, manipulability, k_w=p.k_w, k_s=p.k_s,
-            k_f=p.k_f, k_m=p.k_m)
+        if p.clearance_points != 'joints':
+            return None
+        points = robot.joint_points(arm.q)
+        maps = whitening(scene, np.zeros(len(points)))
+        pairs = link_clearance(maps, points, points)
+        every = np.isfinite(pairs.clearance).nonzero()
+        gradient, _ = clearance_gradients(
+            maps, pairs, every, points, points, arm.columns,
+            moves=np.tril(np.ones((len(points), robot.n))))
+        return indices.clearance_index(
+            pairs.clearance.ravel(), pairs.distance.ravel(), gradient, p.clearance_smoothing,
+            p.influence_distance)
 
     def _filtered(
-        self, desired: Array, parts: null_space.Decomposition, arm: Kinematics,
-        command: Array, correction: Array, turning: Array, near: _Near, scene: Scene,
-        pace: _Pace, dt: float,
-    ) -> tuple[safety.Filtered, str]:
-        """Pass the desired velocity through the safety filter and name what acted."""
+        self, desired: _Desired, arm: Kinematics, dt: float,
+    ) -> safety.Filtered:
+        """Pass the desired velocity through the safety filter."""
         p = self._parameters
-        if not near.acts.all():
-            near = near.acting()
-        may_yield = p.path_priority == 'yield' and bool(
-            ((near.distance < -_FOUND_INSIDE) | (near.rate < 0.0)).any())
-        own, own_gradient, distance = self._self_clearances(arm, pace)
-        singular, reserve = self._singularity(arm, parts)
-        still = np.zeros(len(own) + len(reserve))
-        barriers = safety.Barriers(
-            np.concatenate((near.gradient, own_gradient, singular)),
-            np.concatenate((near.rate, still)),
-            np.concatenate((near.clearance, distance, reserve)), soft=len(reserve))
-        result = safety.safe_velocity(
-            desired, bool(parts.singular_values[-1] >= p.damping_threshold), arm.jacobian,
-            self.robot.task_rows(command + correction), arm.q, self._previous, self._limits,
-            barriers, weights=self._weights, gain=p.barrier_gain, may_yield=may_yield, dt=dt,
-            feedback=self.robot.task_rows(correction), turning=turning)
-        return result, self._reason(
-            result, bool(command.any()), lambda: self._pair_names(near, own, scene), dt)
+        return safety.safe_velocity(
+            desired.dq, desired.smallest >= p.damping_threshold, arm.jacobian,
+            desired.wanted + desired.back, arm.q, self._previous, self._limits,
+            safety.Barriers(
+                desired.gradient, desired.drift, desired.reserve, desired.singular),
+            weights=self._weights, gain=p.barrier_gain,
+            may_yield=desired.intruded and p.path_priority == 'yield', dt=dt,
+            feedback=desired.back, turning=desired.turning)
 
-    def _singularity(
-        self, arm: Kinematics, parts: null_space.Decomposition,
-    ) -> tuple[Array, Array]:
-        """Return the gradient (1, n) of J's smallest singular value σ and its reserve (1,).
-
-        With σ's directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v. Closer than the margin the arm
-        may stay where it is; it only may not get closer. Nothing, (0, n), where σ is large.
-        """
-        margin, smallest = self._parameters.singularity_margin, parts.singular_values[-1]
-        if smallest > _SINGULARITY_NEAR * margin:
-            return np.empty((0, self.robot.n)), np.empty(0)
-        columns = self.robot.jacobian_derivative_times(arm, self._scaling * parts.right[-1])
-        return ((parts.left[:, -1] @ columns)[None],
-                np.array([max(float(smallest) - margin, 0.0)]))
-
-    def _self_clearances(
-        self, arm: Kinematics, pace: _Pace,
-    ) -> tuple[npt.NDArray[np.intp], Array, Array]:
-        """Return the pairs of links that may meet in this tick, their gradients and distances.
-
-        Links found closer than the margin may stay so, they only may not get closer: capsules
-        are fatter than links, and an arm must not start to move by itself because of it.
-        """
-        robot, margin = self.robot, self._parameters.self_collision_margin
-        nothing = _NO_PAIRS, np.empty((0, robot.n)), np.empty(0)
-        if margin <= -1.0 or not len(robot.self_pairs):
-            return nothing
-        # A pair's distance falls by no more than the joints between its links have moved: as
-        # long as that settles it, nothing needs to be measured.
-        reach = (self._self_levers @ pace.fastest) / pace.rate
-        if self._self_known is not None:
-            known_at, known = self._self_known
-            if (known - self._self_levers @ np.abs(arm.q - known_at) > reach).all():
-                return nothing
-        pairs = link_distances(
-            arm.segment_start, arm.segment_end, self._radii + margin / 2.0, robot.self_pairs)
-        self._self_known = arm.q, pairs.distance
-        near = (pairs.distance <= reach).nonzero()[0]
-        if not len(near):
-            return nothing
-        gradient = distance_gradients(pairs, near, arm.columns, self._self_moves)
-        return near, gradient, np.maximum(pairs.distance[near], 0.0)
-
-    def _pair_names(
-        self, near: _Near, own: npt.NDArray[np.intp], scene: Scene,
-    ) -> list[str]:
+    def _pair_names(self, desired: _Desired, scene: Scene) -> list[str]:
         """Name the barriers in their order, as sentences' parts."""
         names = [capsule.name for capsule in self.robot.capsules]
         found = [f"link '{names[link]}' near obstacle '{scene.names[obstacle]}'"
-                 for link, obstacle in zip(near.links, near.obstacles)]
+                 for link, obstacle in desired.pairs[:desired.outer]]
         found += [f"link '{names[i]}' near link '{names[j]}'"
-                  for i, j in self.robot.self_pairs[own]]
+                  for i, j in desired.pairs[desired.outer:]]
         return [*found, 'near a singularity']
 
     def _reason(
-        self, result: safety.Filtered, commanded: bool, pair_names: Callable[[], list[str]],
+        self, result: safety.Filtered, commanded: bool, desired: _Desired, scene: Scene,
         dt: float,
     ) -> str:
         """Say what holds the arm back; the drives' own way to speed up and stop does not count."""
         harmless = (safety.Stage.DESIRED, safety.Stage.SCALED, safety.Stage.BRAKING)
         if (result.scale > 0.99 or not commanded) and result.stage in harmless:
             return ''
+        change = np.abs(result.dq - self._previous)
         fastest = self.robot.acceleration_max * dt * (1.0 - 1e-6)
-        at_limit = [i for i in result.joints
-                    if abs(result.dq[i] - self._previous[i]) < fastest[i]]
+        at_limit = result.joints[change[result.joints] < fastest[result.joints]].tolist()
         if len(result.joints) and not at_limit and not len(result.pairs):  # speeding up
             return ''
         names = [f"joint '{self.robot.joint_names[i]}' at its limit" for i in at_limit]
-        pairs = pair_names() if len(result.pairs) else []
+        pairs = self._pair_names(desired, scene) if len(result.pairs) else []
         names += [pairs[i] for i in result.pairs]
         return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
 
-    def _pace(self, dt: float) -> _Pace:
-        """Return the barriers' rate and how fast the joints may move after this tick."""
-        robot = self.robot
-        stop = safety.stopping_time(self._previous, robot.acceleration_max) + dt
-        fastest = np.minimum(
-            np.abs(self._previous) + robot.acceleration_max * dt, robot.velocity_max)
-        return _Pace(safety.barrier_rate(self._parameters.barrier_gain, stop, dt), fastest)
-
-    def _nearest(self, pairs: Pairs, scene: Scene) -> Nearest | None:
-        if not pairs.clearance.size:
+    def _nearest(self, desired: _Desired, scene: Scene) -> Nearest | None:
+        if desired.nearest_link < 0:
             return None
-        link, obstacle = divmod(int(pairs.distance.argmin()), len(scene.names))
         return Nearest(
-            self.robot.capsules[link].name, scene.names[obstacle],
-            float(pseudo_distance(pairs.clearance[link, obstacle])),
-            float(pairs.distance[link, obstacle]))
+            self.robot.capsules[desired.nearest_link].name,
+            scene.names[desired.nearest_obstacle],
+            pseudo_distance(desired.nearest_clearance), desired.nearest_distance)
 
 
-def _size(vector: Array) -> float:
-    """Return the Euclidean norm; np.linalg.norm takes four times as long on a few numbers."""
-    return math.sqrt(vector @ vector)
+def _constants(
+    robot: Robot, scaling: Array, limits: safety.Limits, radii: Array, self_margin: float,
+) -> _Arm:
+    # Only the joints between two links bring these nearer to each other.
+    pairs = robot.self_pairs if self_margin > -1.0 else robot.self_pairs[:0]
+    moves = robot.moves[pairs[:, 0]] - robot.moves[pairs[:, 1]]
+    return _Arm(
+        np.array(robot.position_min), np.array(robot.position_max),
+        np.array(robot.velocity_max), np.array(robot.acceleration_max), scaling,
+        np.array(robot.levers), np.array(robot.moves), radii + self_margin / 2.0,
+        np.array(pairs), moves, np.abs(moves) * robot.levers[pairs].max(axis=1),
+        np.array(robot.rows), robot.in_tool, limits.positions, limits.margin)
+
+
+@compiled
+def _task(
+    arm: Kinematics, reference: Pose, command: Vector, previous: Vector, constants: _Arm,
+    settings: Fields[_Settings], dt: float,
+) -> _Task:
+    """Return what the tip shall do in this tick: ẋ.
+
+    A reference that is out of reach, or has drifted on axes that are not controlled, is brought
+    along.
+    """
+    p = _Settings(*settings)
+    pose = Pose(arm.tip_position, arm.tip_rotation)
+    error = np.zeros(6)
+    error[constants.rows] = drift.pose_error(
+        reference, pose, constants.in_tool)[constants.rows]
+    kept = drift.bounded(error, p.drift_distance, p.drift_angle)
+    if len(constants.rows) < 6 or (kept != error).any():
+        reference = drift.displaced(pose, kept, constants.in_tool)
+    correction = drift.feedback(kept, p.drift_gain, p.drift_speed, p.drift_angular_speed)
+    if np.abs(command).max() == 0.0 and np.abs(kept).max() < _AT_REST:
+        correction[:] = 0.0
+    turning = np.zeros(len(constants.rows))
+    if p.drift_gain > 0.0:
+        # J turns while the arm moves: half of that belongs to the tick ahead.
+        turning = 0.5 * dt * rate_times(
+            arm.tip_jacobian, previous, arm.tip_rotation, constants.in_tool, constants.rows)
+    return _Task(command[constants.rows], correction[constants.rows], turning, kept, reference)
+
+
+@compiled
+def _pace(
+    previous: Vector, constants: Fields[_Arm], settings: Fields[_Settings], dt: float,
+) -> tuple[Array, Array, float]:
+    """Return how far this tick can lead.
+
+    Returns:
+        (n,) the fastest the joints may move [rad/s, m/s], (c,) the fastest any point of a link
+        may then move, Σ |q̇_j| lever_j [m/s], and the share of a reserve that may be used up
+        per second [1/s].
+    """
+    constants, p = _Arm(*constants), _Settings(*settings)
+    n = len(previous)
+    fastest, speeds = np.empty(n), np.zeros(len(constants.levers))
+    for j in range(n):
+        fastest[j] = min(abs(previous[j]) + constants.acceleration_max[j] * dt,
+                         constants.velocity_max[j])
+        for link in range(len(speeds)):
+            speeds[link] += constants.levers[link, j] * fastest[j]
+    stop = safety.stopping_time(previous, constants.acceleration_max) + dt
+    return fastest, speeds, safety.barrier_rate(p.barrier_gain, stop, dt)
+
+
+@compiled
+def _desired(
+    arm: Fields[Kinematics], position: Vector, rotation: Matrix, command: Vector,
+    maps: Fields[Whitening], constants: Fields[_Arm], settings: Fields[_Settings],
+    previous: Vector, known_at: OutVector, known: OutVector, fixed_gain: bool, has_path: bool,
+    path: Vector, by_joints: bool, joint_clearance_index: float, joint_clearance: Vector,
+    dt: float,
+) -> _Desired:
+    """Return J⁺ẋ + k P∇H, and the barriers around it.
+
+    Args:
+        arm, maps, constants, settings: see there.
+        position, rotation: of the reference pose.
+        command: (6,) the twist [m/s, rad/s].
+        previous: (n,) velocity of the last tick.
+        known_at, known: see `near_links`.
+        fixed_gain: whether k is k_fixed instead of Eq. 2's.
+        has_path, path: whether a velocity (n,) of the shortest joint path is known, whose
+            null-space part then is the homogeneous solution; and it.
+        by_joints, joint_clearance_index, joint_clearance: H_w and ∇H_w to be used instead of
+            those over whole links.
+        dt: [s].
+    """
+    arm, maps, plain = Kinematics(*arm), Whitening(*maps), constants
+    constants, p = _Arm(*constants), _Settings(*settings)
+    scaling, rows = constants.scaling, constants.rows
+
+    # ẋ: the command plus what brings the tip back to the reference pose (§ drift).
+    task = _task(arm, Pose(position.copy(), rotation.copy()), command, previous, constants,
+                 settings, dt)
+
+    # J⁺ẋ, in coordinates in which every joint costs the same.
+    parts = null_space.decompose(arm.jacobian * scaling)
+    gains = null_space.inverse_gains(parts.singular_values, p.damping_threshold, p.damping)
+    twist = task.wanted + task.back - task.turning
+    least_norm = null_space.least_norm(parts, gains, twist)
+
+    # What the arm may come close to in this tick.
+    fastest, speeds, rate = _pace(previous, plain, settings, dt)
+    near = near_pairs(
+        maps, arm.segment_start, arm.segment_end, arm.columns, constants.moves, speeds, rate,
+        p.influence_distance)
+    own = near_links(
+        arm.q, arm.segment_start, arm.segment_end, arm.columns, constants.radii,
+        constants.self_pairs, constants.self_moves, constants.self_levers, fastest, rate,
+        known_at, known)
+
+    # ∇H, Eq. 18; an index of no weight costs nothing.
+    level, clearance = indices.clearance_index(
+        near.clearance, near.distance, near.gradient, p.clearance_smoothing,
+        p.influence_distance)
+    if by_joints:
+        level, clearance = joint_clearance_index, joint_clearance.copy()
+    smallest = parts.singular_values[-1]
+    homogeneous = np.zeros(len(previous))
+    factor = 1.0
+    if has_path:
+        homogeneous += null_space.project(parts, path / scaling)
+    else:
+        joint_limit, shortest_path, manipulability = np.zeros((3, len(previous)))
+        if p.k_s > 0.0:
+            _, joint_limit = indices.joint_limit_index(
+                arm.q, constants.position_min, constants.position_max)
+        if p.k_f > 0.0:
+            _, shortest_path = indices.shortest_path_index(least_norm, derivative_between(
+                null_space.dual(parts, gains, twist), arm.tip_jacobian, scaling * least_norm,
+                arm.tip_rotation, constants.in_tool, rows))
+        nearness = smallest / max(p.singularity_margin, 1e-9) - 1.0
+        if p.k_m > 0.0 and nearness < 1.0:
+            changes = np.empty(parts.right.shape)
+            for i in range(len(changes)):
+                changes[i] = derivative_between(
+                    parts.left[:, i], arm.tip_jacobian, scaling * parts.right[i],
+                    arm.tip_rotation, constants.in_tool, rows)
+            _, manipulability = indices.manipulability_index(parts, changes)
+            manipulability = indices.fade(nearness) * manipulability
+        gradient = indices.total_gradient(
+            clearance, joint_limit, shortest_path, manipulability, p.k_w, p.k_s, p.k_f, p.k_m)
+        # k P∇H, Eqs. 1 and 2.
+        projected = null_space.project(parts, gradient * scaling)
+        factor = p.k_fixed if fixed_gain else null_space.dynamic_factor(
+            p.k_alpha, least_norm, projected)
+        homogeneous += factor * projected
+
+    # The barriers: obstacles, own links, and J's smallest singular value σ. With σ's directions
+    # u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v. Closer than the margin the arm may stay where it is; it
+    # only may not get closer.
+    outer, inner = len(near.acting), len(own.pairs)
+    singular = 1 if smallest <= _SINGULARITY_NEAR * p.singularity_margin else 0
+    count = outer + inner
+    barriers = np.empty((count + singular, len(previous)))
+    drifts, reserves = np.zeros(len(barriers)), np.empty(len(barriers))
+    pairs = np.empty((count, 2), np.intp)
+    intruded = False
+    for i in range(outer):
+        at = near.acting[i]
+        barriers[i] = near.gradient[at]
+        drifts[i], reserves[i] = near.rate[at], near.clearance[at]
+        pairs[i, 0], pairs[i, 1] = near.links[at], near.obstacles[at]
+        intruded = intruded or near.distance[at] < -_FOUND_INSIDE or near.rate[at] < 0.0
+    barriers[outer:count] = own.gradient
+    reserves[outer:count] = own.distance
+    pairs[outer:] = constants.self_pairs[own.pairs]
+    if singular:
+        barriers[count] = derivative_between(
+            parts.left[:, -1], arm.tip_jacobian, scaling * parts.right[-1], arm.tip_rotation,
+            constants.in_tool, rows)
+        reserves[count] = max(smallest - p.singularity_margin, 0.0)
+
+    least_norm, homogeneous = scaling * least_norm, scaling * homogeneous
+    dq = least_norm + homogeneous  # Eq. 1
+    admissible = smallest >= p.damping_threshold and safety.admissible(
+        dq, arm.q, previous, constants.positions, constants.velocity_max,
+        constants.acceleration_max, constants.position_margin, barriers, drifts, reserves,
+        p.barrier_gain, dt)
+    return _Desired(
+        dq, least_norm, homogeneous, factor, level,
+        null_space.manipulability(parts), smallest, barriers, drifts, reserves, singular,
+        intruded, pairs, outer, near.nearest_link, near.nearest_obstacle,
+        near.nearest_clearance, near.nearest_distance, admissible, task.wanted, task.back,
+        task.turning, task.error, task.reference.position, task.reference.rotation)
+
+
+@compiled
+def _limit_speed(
+    command: OutVector, controlled: Vector, linear_max: float, angular_max: float,
+) -> bool:
+    """Take a twist's uncontrolled part away and slow it down to the limits; is any left?"""
+    largest = 0.0
+    for i in range(6):
+        command[i] *= controlled[i]
+        largest = max(largest, abs(command[i]))
+    if largest == 0.0:
+        return False
+    # The norm of an absurd twist would overflow.
+    scale = largest if largest > _ABSURD else 1.0
+    excess = 1.0 / scale
+    for part in range(2):
+        x, y, z = command[3 * part:3 * part + 3] / scale
+        # A limit of 0 lets nothing pass.
+        limit = max(angular_max if part else linear_max, _STANDSTILL)
+        excess = max(excess, math.sqrt(x * x + y * y + z * z) / limit)
+    for i in range(6):
+        command[i] = command[i] / scale / excess
+    return True

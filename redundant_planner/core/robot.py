@@ -4,14 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from redundant_planner.core.drift import Pose
+from redundant_planner.core.compiled import (
+    compiled,
+    Fields,
+    Indices,
+    Matrix,
+    OutMatrix,
+    OutStack,
+    OutVector,
+    Stack,
+    Stacks,
+    Vector,
+)
 from redundant_planner.core.errors import known, ObstacleError, RobotError, StateError
 from redundant_planner.core.self_collision import link_distances
 
@@ -78,14 +90,14 @@ class Kinematics(NamedTuple):
         segment_end: (c, 3) second ends of the capsules [m].
     """
 
-    q: Array
-    columns: Array
-    tip_position: Array
-    tip_rotation: Array
-    tip_jacobian: Array
-    jacobian: Array
-    segment_start: Array
-    segment_end: Array
+    q: Vector
+    columns: Matrix
+    tip_position: Vector
+    tip_rotation: Matrix
+    tip_jacobian: Matrix
+    jacobian: Matrix
+    segment_start: Matrix
+    segment_end: Matrix
 
 
 class Robot:
@@ -98,11 +110,14 @@ class Robot:
         joint_names: the n chain joints, base first.
         axes: the m controlled axes, a subset of `AXES` in that order.
         command_frame: 'base' or 'tool': the frame in which a twist, and so J, is expressed.
+        in_tool: whether that is the tool frame.
+        rows: (m,) which of the six axes are controlled.
         position_min, position_max: (n,) [rad, m], infinite for continuous joints.
         velocity_max, acceleration_max: (n,) [rad/s, m/s; per s²].
         capsules: the link shapes.
         self_pairs: (p, 2) indices of the capsules that can run into each other.
         moves: (c, n) 1 where a joint moves a capsule, else 0.
+        chain: the fields of `Chain`.
         levers: (c, n) the fastest any point of a capsule moves per unit of joint velocity, at any
             posture: a bound [m/rad, 1 for prismatic joints].
     """
@@ -158,6 +173,7 @@ class Robot:
             raise RobotError(
                 f"command_frame is '{command_frame}'; it must be one of {known(COMMAND_FRAMES)}")
         self.command_frame = command_frame
+        self.in_tool = command_frame == 'tool'
         unlimited = np.array([name in continuous for name in self.joint_names])
         self.position_min = _read_only(
             np.where(unlimited, -np.inf, self._model.lowerPositionLimit))
@@ -168,12 +184,16 @@ class Robot:
         self.acceleration_max = self._limits('acceleration_max', acceleration_max)
 
         self._tip_id = _link_id(self._model, tip_frame)
-        self._rows = np.array([AXES.index(axis) for axis in self.axes])
-        self._no_acceleration = np.zeros(self.n)
-        self._rotations, self._positions = _placements(self._data)
+        self.rows = np.array([AXES.index(axis) for axis in self.axes], dtype=np.intp)
+        self._joints = (self._data.J.T, *_placements(self._data))
         self.capsules = tuple(
             self._default_capsules(link_radius) if capsules is None else capsules)
         self._place_capsules()
+        tip = self._model.frames[self._tip_id]
+        self.chain: tuple[Any, ...] = tuple(Chain(
+            int(tip.parentJoint), np.array(tip.placement.rotation, order='C'),
+            np.array(tip.placement.translation), self._capsule_joint, self._capsule_ends,
+            self.rows, self.in_tool))
         self.levers = self._levers()
         self.self_pairs = self._self_pairs()
 
@@ -227,98 +247,34 @@ class Robot:
             StateError: `q` does not have n finite entries.
         """
         q = self.checked_posture(q)
-        pin.computeJointJacobians(self._model, self._data, q)
-        tip = pin.updateFramePlacement(self._model, self._data, self._tip_id)
-        jacobian = tip_jacobian = pin.getFrameJacobian(
-            self._model, self._data, self._tip_id, pin.LOCAL_WORLD_ALIGNED)
-        if self.command_frame == 'tool':
-            jacobian = pin.getFrameJacobian(self._model, self._data, self._tip_id, pin.LOCAL)
-        at = self._capsule_joint
-        ends = self._rotations[at] @ self._capsule_ends + self._positions[at][:, :, None]
-        return Kinematics(
-            q=q,
-            columns=np.array(self._data.J),
-            tip_position=np.array(tip.translation),
-            tip_rotation=np.array(tip.rotation),
-            tip_jacobian=tip_jacobian,
-            jacobian=jacobian[self._rows],
-            segment_start=ends[:, :, 0],
-            segment_end=ends[:, :, 1])
+        links, n = len(self.capsules), self.n
+        arm = Kinematics(
+            q, np.empty((6, n)), np.empty(3), np.empty((3, 3)), np.empty((6, n)),
+            np.empty((self.m, n)), np.empty((links, 3)), np.empty((links, 3)))
+        fill(*self.joints(q), self.chain, *arm[1:])
+        return arm
 
-    def tip(self, q: Array) -> tuple[Pose, Array]:
-        """Return the tip's pose and J (m, n) alone, for a posture known to be a good one."""
-        model, data = self._model, self._data
-        pin.computeJointJacobians(model, data, q)
-        tip = pin.updateFramePlacement(model, data, self._tip_id)
-        axes = pin.LOCAL if self.command_frame == 'tool' else pin.LOCAL_WORLD_ALIGNED
-        jacobian = pin.getFrameJacobian(model, data, self._tip_id, axes)
-        return Pose(np.array(tip.translation), np.array(tip.rotation)), jacobian[self._rows]
+    def joints(self, q: Array) -> tuple[Array, Array, Array]:
+        """Return Pinocchio's joint screws, rotations and positions, see `fill`.
+
+        They are views into its memory, good until the next posture (n,), which is not checked.
+        """
+        pin.computeJointJacobians(self._model, self._data, q)
+        return self._joints
 
     def kinematics_along(self, postures: Array) -> Kinematics:
         """Return the kinematics at every one of N postures (N, n): N leads every array."""
-        count = len(postures)
-        columns = np.empty((count, 6, self.n))
-        turns, places = np.empty((count, self.n + 1, 3, 3)), np.empty((count, self.n + 1, 3))
+        count, links, n = len(postures), len(self.capsules), self.n
+        arms = Kinematics(
+            postures, np.empty((count, 6, n)), np.empty((count, 3)), np.empty((count, 3, 3)),
+            np.empty((count, 6, n)), np.empty((count, self.m, n)), np.empty((count, links, 3)),
+            np.empty((count, links, 3)))
+        screws = np.empty((count, n, 6))
+        turns, places = np.empty((count, n + 1, 3, 3)), np.empty((count, n + 1, 3))
         for i in range(count):
-            pin.computeJointJacobians(self._model, self._data, postures[i])
-            columns[i] = self._data.J
-            turns[i], places[i] = self._rotations, self._positions
-        tip = self._model.frames[self._tip_id]
-        carrier = turns[:, tip.parentJoint]
-        rotation = carrier @ tip.placement.rotation
-        position = places[:, tip.parentJoint] + carrier @ tip.placement.translation
-        # v = v₀ + w × p = v₀ − p × w of the tip point p.
-        lever = np.zeros((count, 3, 3))
-        for row, column, axis in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            lever[:, row, column] = position[:, axis]
-            lever[:, column, row] = -position[:, axis]
-        tip_jacobian = columns.copy()
-        tip_jacobian[:, :3] += lever @ columns[:, 3:]
-        jacobian = tip_jacobian
-        if self.command_frame == 'tool':
-            jacobian = (rotation.transpose(0, 2, 1)[:, None]
-                        @ tip_jacobian.reshape(count, 2, 3, -1)).reshape(count, 6, -1)
-        at = self._capsule_joint
-        ends = turns[:, at] @ self._capsule_ends + places[:, at, :, None]
-        return Kinematics(postures, columns, position, rotation, tip_jacobian,
-                          jacobian[:, self._rows], ends[..., 0], ends[..., 1])
-
-    def jacobian_derivative_times(self, arm: Kinematics, dq: Array) -> Array:
-        """Return the columns (∂J/∂q_k) q̇ of the controlled axes in the command frame, (m, n).
-
-        Pinocchio differentiates the tip's velocity in tool axes; turned into base axes, where
-        V = R V_tool and joint k turns R, column k is R ∂V_tool/∂q_k + w_k × V.
-
-        Args:
-            arm: the posture.
-            dq: (n,) q̇.
-        """
-        pin.computeForwardKinematicsDerivatives(
-            self._model, self._data, arm.q, dq, self._no_acceleration)
-        columns = pin.getFrameVelocityDerivatives(
-            self._model, self._data, self._tip_id, pin.LOCAL)[0]
-        if self.command_frame == 'base':
-            columns = (arm.tip_rotation @ columns.reshape(2, 3, -1)).reshape(6, -1)
-            twist, axes = arm.tip_jacobian @ dq, arm.tip_jacobian[3:]
-            columns[:3] -= pin.skew(twist[:3]) @ axes
-            columns[3:] -= pin.skew(twist[3:]) @ axes
-        return columns[self._rows]
-
-    def jacobian_rate_times(self, arm: Kinematics, dq: Array) -> Array:
-        """Return J̇ q̇ (m,): how the tip's velocity changes while the joints' stays what it is.
-
-        Args:
-            arm: the posture.
-            dq: (n,) q̇.
-        """
-        model, data, tip = self._model, self._data, self._tip_id
-        pin.forwardKinematics(model, data, arm.q, dq, self._no_acceleration)
-        if self.command_frame == 'tool':
-            acceleration = pin.getFrameAcceleration(model, data, tip, pin.LOCAL)
-        else:
-            acceleration = pin.getFrameClassicalAcceleration(
-                model, data, tip, pin.LOCAL_WORLD_ALIGNED)
-        return acceleration.vector[self._rows]
+            screws[i], turns[i], places[i] = self.joints(postures[i])
+        _fill_along(screws, turns, places, self.chain, *arms[1:])
+        return arms
 
     def joint_points(self, q: npt.ArrayLike) -> Array:
         """Return the joint origins, then the tip, (n + 1, 3): the X_i of Eq. 7 [m].
@@ -338,6 +294,8 @@ class Robot:
             StateError: the length is wrong or an entry is not finite.
         """
         posture = np.array(q, dtype=float)
+        if posture.shape == (self.n,) and math.isfinite(sum(posture.tolist())):
+            return posture
         if posture.shape != (self.n,):
             raise StateError(
                 f'posture has shape {posture.shape}; the chain has {self.n} joints: '
@@ -349,12 +307,12 @@ class Robot:
 
     def task_rows(self, twist: npt.ArrayLike) -> Array:
         """Return the controlled entries (m,) of a full twist (6,)."""
-        return np.asarray(twist, dtype=float)[self._rows]
+        return np.asarray(twist, dtype=float)[self.rows]
 
     def full_twist(self, task: Array) -> Array:
         """Return the twist (6,) whose controlled entries are `task` (m,), zero elsewhere."""
         twist = np.zeros(6)
-        twist[self._rows] = task
+        twist[self.rows] = task
         return twist
 
     def _limits(self, what: str, values: Sequence[float] | float) -> Array:
@@ -426,7 +384,7 @@ class Robot:
         those that overlap at many postures, whose shapes do so by construction; and those two
         joints apart that never come near each other.
         """
-        links = np.transpose(np.triu_indices(len(self.capsules), 1))
+        links = np.column_stack(np.triu_indices(len(self.capsules), 1))
         if not len(links):
             return links
         between = np.abs(np.diff(self._capsule_joint[links], axis=1))[:, 0]
@@ -444,6 +402,89 @@ class Robot:
         never = (between == 2) & (sampled > _NEVER_NEAR).all(axis=0)
         keep = (between > 1) & ~touching & ~never
         return links[keep]
+
+
+class Chain(NamedTuple):
+    """What stays the same at every posture.
+
+    Attributes:
+        tip_joint: number of the joint that carries the tip frame.
+        tip_in_joint: (3, 3) the tip's axes in that joint's frame.
+        tip_from_joint: (3,) its origin there [m].
+        capsule_joint: (c,) the joints that carry the capsules.
+        capsule_ends: (c, 3, 2) in their frames [m].
+        rows: (m,) the controlled ones of the six axes.
+        in_tool: whether J is wanted in tool axes.
+    """
+
+    tip_joint: int
+    tip_in_joint: Matrix
+    tip_from_joint: Vector
+    capsule_joint: Indices
+    capsule_ends: Stack
+    rows: Indices
+    in_tool: bool
+
+
+@compiled
+def fill(
+    screws: Matrix, rotations: Stack, positions: Matrix, chain: Fields[Chain],
+    columns: OutMatrix, position: OutVector, rotation: OutMatrix, tip_jacobian: OutMatrix,
+    jacobian: OutMatrix, start: OutMatrix, end: OutMatrix,
+) -> None:
+    """Write the fields of `Kinematics` from `columns` on.
+
+    Args:
+        screws: (n, 6) joint screws [v; w] at the base origin.
+        rotations: (n + 1, 3, 3) of all joints, the base first.
+        positions: (n + 1, 3) [m].
+        chain: `Robot.chain`.
+        columns, position, rotation, tip_jacobian, jacobian, start, end: see `Kinematics`.
+    """
+    tip_joint, tip_in_joint, tip_from_joint, capsule_joint, capsule_ends, rows, in_tool = chain
+    for axis in range(3):
+        position[axis] = positions[tip_joint, axis]
+        for k in range(3):
+            position[axis] += rotations[tip_joint, axis, k] * tip_from_joint[k]
+            rotation[axis, k] = 0.0
+            for other in range(3):
+                rotation[axis, k] += (
+                    rotations[tip_joint, axis, other] * tip_in_joint[other, k])
+    x, y, z = position
+    for j in range(len(screws)):
+        v1, v2, v3, w1, w2, w3 = screws[j]
+        columns[:, j] = screws[j]
+        # v = v₀ + w × x at the tip point x.
+        tip_jacobian[0, j] = v1 + w2 * z - w3 * y
+        tip_jacobian[1, j] = v2 + w3 * x - w1 * z
+        tip_jacobian[2, j] = v3 + w1 * y - w2 * x
+        tip_jacobian[3:, j] = screws[j, 3:]
+        for i in range(len(rows)):
+            jacobian[i, j] = tip_jacobian[rows[i], j]
+            if in_tool:
+                part, axis = 3 * (rows[i] // 3), rows[i] % 3
+                jacobian[i, j] = 0.0
+                for k in range(3):
+                    jacobian[i, j] += rotation[k, axis] * tip_jacobian[part + k, j]
+    for capsule in range(len(capsule_joint)):
+        joint = capsule_joint[capsule]
+        for axis in range(3):
+            start[capsule, axis] = end[capsule, axis] = positions[joint, axis]
+            for k in range(3):
+                start[capsule, axis] += rotations[joint, axis, k] * capsule_ends[capsule, k, 0]
+                end[capsule, axis] += rotations[joint, axis, k] * capsule_ends[capsule, k, 1]
+
+
+@compiled
+def _fill_along(
+    screws: Stack, rotations: Stacks, positions: Stack, chain: Fields[Chain],
+    columns: OutStack, position: OutMatrix, rotation: OutStack, tip_jacobian: OutStack,
+    jacobian: OutStack, start: OutStack, end: OutStack,
+) -> None:
+    """Do what `fill` does at each of N postures."""
+    for i in range(len(screws)):
+        fill(screws[i], rotations[i], positions[i], chain, columns[i], position[i], rotation[i],
+             tip_jacobian[i], jacobian[i], start[i], end[i])
 
 
 def _placements(data: pin.Data) -> tuple[Array, Array]:

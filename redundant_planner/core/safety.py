@@ -31,7 +31,10 @@ import daqp
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.compiled import compiled, Matrix, Vector
+
 Array = npt.NDArray[np.float64]
+Found = npt.NDArray[np.intp]
 
 # Price of the whole twist in units of ½‖q̇_des‖²: null-space motion may be √200 times as fast as
 # the desired motion before the twist slows down for it. Dearer, and the arm whips around.
@@ -48,7 +51,6 @@ _UNBOUNDED = 1e30
 _ACTIVE = 1e-9
 _TOLERANCE = 1e-9
 _EQUALITY = 5
-_OUTWARD = np.array([[1.0], [-1.0]])
 # Reserve on the stopping distance for gradients that turn while the arm brakes.
 _CURVATURE_RESERVE = 1.25
 
@@ -112,25 +114,30 @@ class Filtered(NamedTuple):
     scale: float
     coast: float
     stage: Stage
-    joints: npt.NDArray[np.intp]
-    pairs: npt.NDArray[np.intp]
+    joints: Found
+    pairs: Found
 
 
 _NONE = np.empty(0, dtype=np.intp)
 
 
-def stopping_time(dq: Array, acceleration_max: Array) -> float:
+@compiled
+def stopping_time(dq: Vector, acceleration_max: Vector) -> float:
     """Return the time in which all joints, slowing in proportion, come to rest [s]."""
-    return float((np.abs(dq) / acceleration_max).max())
+    time = 0.0
+    for i in range(len(dq)):
+        time = max(time, abs(dq[i]) / acceleration_max[i])
+    return time
 
 
-def braked(dq: Array, acceleration_max: Array, dt: float) -> Array:
+@compiled
+def braked(dq: Vector, acceleration_max: Vector, dt: float) -> Array:
     """Return the velocity (n,) a tick later when all joints slow down in proportion.
 
     The way to rest that every stage of the filter keeps open (docs/safety.md).
     """
     stop = stopping_time(dq, acceleration_max)
-    return dq * (1.0 - dt / stop) if stop > dt else np.zeros_like(dq)
+    return dq * ((1.0 - dt / stop) if stop > dt else 0.0)
 
 
 def velocity_bounds(
@@ -157,20 +164,36 @@ def velocity_bounds(
     Returns:
         lower, upper, and whether they keep the acceleration limits.
     """
-    # Row 0 is the way up, row 1 the way down, both counted positive outwards.
-    room = (limits.positions - q) * _OUTWARD
-    highest = np.maximum(room, 0.0) / (stop / 2.0 + dt)
-    if limits.margin > 0.0:
-        last = np.maximum(room + 0.5 * limits.margin, 0.0) / (stop / 2.0 + dt)
-        slowed = braked(previous, limits.acceleration_max, dt) * _OUTWARD
-        highest = np.maximum(highest, np.minimum(slowed, last))
-    highest = np.minimum(limits.velocity_max, highest)
-    lowest = -highest[::-1]
-    reached = previous * _OUTWARD + limits.acceleration_max * dt
-    bounds = np.minimum(np.maximum(reached, lowest), highest)
-    return -bounds[1], bounds[0], bool((reached >= lowest - _TOLERANCE).all())
+    return _velocity_bounds(q, previous, *limits, stop, dt)
 
 
+@compiled
+def _velocity_bounds(
+    q: Vector, previous: Vector, positions: Matrix, velocity_max: Vector,
+    acceleration_max: Vector, margin: float, stop: float, dt: float,
+) -> tuple[Array, Array, bool]:
+    n = len(q)
+    slowed = braked(previous, acceleration_max, dt)
+    highest, bounds, kept = np.empty(2), np.empty((2, n)), True
+    for i in range(n):
+        # Side 0 is the way up, side 1 the way down, both counted positive outwards.
+        for side in range(2):
+            outward = 1.0 - 2.0 * side
+            room = (positions[side, i] - q[i]) * outward
+            speed = max(room, 0.0) / (stop / 2.0 + dt)
+            if margin > 0.0:
+                last = max(room + 0.5 * margin, 0.0) / (stop / 2.0 + dt)
+                speed = max(speed, min(slowed[i] * outward, last))
+            highest[side] = min(velocity_max[i], speed)
+        for side in range(2):
+            reached = previous[i] * (1.0 - 2.0 * side) + acceleration_max[i] * dt
+            lowest = -highest[1 - side]
+            bounds[side, i] = min(max(reached, lowest), highest[side])
+            kept = kept and reached >= lowest - _TOLERANCE
+    return -bounds[1], bounds[0], kept
+
+
+@compiled
 def barrier_rate(gain: float, stop: float, dt: float) -> float:
     """Return the share of a clearance that may be used up per second [1/s].
 
@@ -190,7 +213,40 @@ def barrier_bounds(barriers: Barriers, gain: float, stop: float, dt: float) -> A
         stop: stopping time T that the next velocity may have [s].
         dt: [s].
     """
-    return -barrier_rate(gain, stop, dt) * barriers.reserve - barriers.drift
+    return _barrier_bounds(barriers.reserve, barriers.drift, barrier_rate(gain, stop, dt))
+
+
+@compiled
+def _barrier_bounds(reserve: Vector, drift: Vector, rate: float) -> Array:
+    return -rate * reserve - drift
+
+
+@compiled
+def admissible(
+    dq: Vector, q: Vector, previous: Vector, positions: Matrix, velocity_max: Vector,
+    acceleration_max: Vector, margin: float, gradient: Matrix, drift: Vector, reserve: Vector,
+    gain: float, dt: float,
+) -> bool:
+    """Return whether a velocity (n,) keeps every limit and every barrier as it is.
+
+    The arguments are those of `safe_velocity`, with the fields of `Limits` and `Barriers`.
+    """
+    stop = stopping_time(previous, acceleration_max) + dt
+    lower, upper, kept = _velocity_bounds(
+        q, previous, positions, velocity_max, acceleration_max, margin, stop, dt)
+    bounds = _barrier_bounds(reserve, drift, barrier_rate(gain, stop, dt))
+    if not kept:
+        return False
+    for i in range(len(dq)):
+        if not lower[i] <= dq[i] <= upper[i]:
+            return False
+    for row in range(len(bounds)):
+        along = 0.0
+        for i in range(len(dq)):
+            along += gradient[row, i] * dq[i]
+        if not along >= bounds[row]:
+            return False
+    return True
 
 
 def safe_velocity(
@@ -224,8 +280,7 @@ def safe_velocity(
     lower, upper, kept = velocity_bounds(q, previous, limits, stop + dt, dt)
     bounds = barrier_bounds(barriers, gain, stop + dt, dt)
     if kept:
-        if exact and bool((desired >= lower).all() and (desired <= upper).all()
-                          and (gradient @ desired >= bounds).all()):
+        if exact and admissible(desired, q, previous, *limits, *barriers[:3], gain, dt):
             return Filtered(desired, 1.0, 0.0, Stage.DESIRED, _NONE, _NONE)
         found = _solve(Stage.SCALED, desired, jacobian, twist, turning, None, lower, upper,
                        gradient, bounds, weights)
@@ -280,53 +335,90 @@ def _solve(
     that gives way is a squared price on J q̇ + turning − s ẋ − r coasting instead of a
     constraint.
     """
-    n = jacobian.shape[1]
     slack = stage is Stage.FORCED
-    size = n + 1 + (coasting is not None) + slack
-    path: Array = np.zeros((len(jacobian), size))
-    path[:, :n] = jacobian
-    path[:, n] = -twist
-    hessian = np.zeros((size, size))
-    diagonal = hessian.reshape(-1)[::size + 1]
-    diagonal[:n] = weights
-    diagonal[n:] = 1e-3
-    linear = np.empty(size)
-    linear[:n] = -weights * desired
-    linear[n] = -_PRICE_SCALE * (desired @ (weights * desired)) - 1e-3
-    if coasting is not None:
-        linear[n + 1] = (
-            _PRICE_COAST_STRICT if slack and not path_gives_way else _PRICE_COAST)
-        path[:, n + 1] = -coasting
-    if path_gives_way:
-        hessian += _PRICE_PATH * (path.T @ path)
-        linear += _PRICE_PATH * (path.T @ turning)
-        path = path[:0]
-    m = len(path)
-    rows = m + len(bounds)
-    constraints = np.zeros((rows, size))
-    constraints[:m] = path
-    constraints[m:, :n] = gradient
-    high = np.full(size + rows, _UNBOUNDED)
-    low = np.zeros(size + rows)
-    low[:n], high[:n] = lower, upper
-    # Proportional braking alone, r = 1, may be all there is: round-off must not shut it out.
-    high[n:size] = 1.0 + 1e-6
-    high[n] = 1.0
-    low[size:size + m] = high[size:size + m] = -turning[:m]
-    low[size + m:] = bounds
-    if slack:
-        linear[-1] = _PRICE_BARRIER
-        constraints[m:, -1] = 1.0
-        high[size - 1] = _UNBOUNDED
-    sense = np.zeros(size + rows, dtype=np.int32)
-    sense[size:size + m] = _EQUALITY
+    hessian, linear, constraints, high, low, sense = _problem(
+        desired, jacobian, twist, turning, twist if coasting is None else coasting, lower, upper,
+        gradient, bounds, weights, coasting is not None, slack, path_gives_way)
     x, _, flag, info = daqp.solve(
         hessian, linear, constraints, high, low, sense, primal_tol=_TOLERANCE)
-    if flag != 1 or not np.isfinite(x).all():
+    solved, dq, scale, coast, joints, pairs = _solution(x, info['lam'], lower, upper, len(bounds))
+    if flag != 1 or not solved:
         return None
-    acting = np.abs(info['lam']) > _ACTIVE
-    return Filtered(
-        np.minimum(np.maximum(x[:n], lower), upper),
-        min(max(float(x[n]), 0.0), 1.0),
-        share * float(x[n + 1]) if coasting is not None else 0.0,
-        stage, np.flatnonzero(acting[:n]), np.flatnonzero(acting[size + m:]))
+    return Filtered(dq, scale, share * coast if coasting is not None else 0.0, stage, joints,
+                    pairs)
+
+
+@compiled
+def _solution(
+    x: Vector, multipliers: Vector, lower: Vector, upper: Vector, pairs: int,
+) -> tuple[bool, Array, float, float, Found, Found]:
+    """Return whether a solution is finite, then q̇, s, r, and the bounds and barriers that act."""
+    n, solved = len(lower), True
+    for value in x:
+        solved = solved and np.isfinite(value)
+    dq = np.minimum(np.maximum(x[:n], lower), upper)
+    acting = np.abs(multipliers) > _ACTIVE
+    coast = x[n + 1] if len(x) > n + 1 else 0.0
+    return (solved, dq, min(max(x[n], 0.0), 1.0), coast, np.flatnonzero(acting[:n]),
+            np.flatnonzero(acting[len(acting) - pairs:]))
+
+
+@compiled
+def _problem(
+    desired: Vector, jacobian: Matrix, twist: Vector, turning: Vector, coasting: Vector,
+    lower: Vector, upper: Vector, gradient: Matrix, bounds: Vector, weights: Vector,
+    may_coast: bool, slack: bool, path_gives_way: bool,
+) -> tuple[Array, ...]:
+    """Return a stage's problem as DAQP takes it: ½ xᵀ H x + fᵀx, low ≤ (x, A x) ≤ high, sense."""
+    m, n = jacobian.shape
+    size, rows = n + 1 + may_coast + slack, len(bounds)
+    path = np.zeros((m, size))
+    for row in range(m):
+        for i in range(n):
+            path[row, i] = jacobian[row, i]
+        path[row, n] = -twist[row]
+        if may_coast:
+            path[row, n + 1] = -coasting[row]
+    hessian, linear = np.zeros((size, size)), np.empty(size)
+    effort = 0.0
+    for i in range(n):
+        hessian[i, i] = weights[i]
+        linear[i] = -weights[i] * desired[i]
+        effort += weights[i] * desired[i] * desired[i]
+    for i in range(n, size):
+        hessian[i, i] = 1e-3
+    linear[n] = -_PRICE_SCALE * effort - 1e-3
+    if may_coast:
+        linear[n + 1] = (
+            _PRICE_COAST_STRICT if slack and not path_gives_way else _PRICE_COAST)
+    if path_gives_way:
+        for row in range(m):
+            for i in range(size):
+                linear[i] += _PRICE_PATH * path[row, i] * turning[row]
+                for j in range(size):
+                    hessian[i, j] += _PRICE_PATH * path[row, i] * path[row, j]
+        m = 0
+    constraints = np.zeros((m + rows, size))
+    high, low = np.full(size + m + rows, _UNBOUNDED), np.zeros(size + m + rows)
+    sense = np.zeros(size + m + rows, dtype=np.int32)
+    for i in range(size):
+        # Proportional braking alone, r = 1, may be all there is: round-off must not shut it out.
+        high[i] = 1.0 + 1e-6
+    high[n] = 1.0
+    for i in range(n):
+        low[i], high[i] = lower[i], upper[i]
+    for row in range(m):
+        for i in range(size):
+            constraints[row, i] = path[row, i]
+        low[size + row] = high[size + row] = -turning[row]
+        sense[size + row] = _EQUALITY
+    for row in range(rows):
+        for i in range(n):
+            constraints[m + row, i] = gradient[row, i]
+        if slack:
+            constraints[m + row, size - 1] = 1.0
+        low[size + m + row] = bounds[row]
+    if slack:
+        linear[size - 1] = _PRICE_BARRIER
+        high[size - 1] = _UNBOUNDED
+    return hessian, linear, constraints, high, low, sense

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles import wrenches
+from redundant_planner.core.compiled import (
+    compiled,
+    IndexPairs,
+    Indices,
+    Matrix,
+    OutStack,
+    OutVector,
+    Stack,
+    Vector,
+)
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
+
+_TINY = float(np.finfo(float).tiny)
 
 
 class LinkPairs(NamedTuple):
@@ -21,8 +32,8 @@ class LinkPairs(NamedTuple):
         points: (p, 2, 3) nearest points of the two segments [m].
     """
 
-    distance: Array
-    points: Array
+    distance: Vector
+    points: Stack
 
 
 def link_distances(start: Array, end: Array, radii: Array, links: Indices) -> LinkPairs:
@@ -37,22 +48,41 @@ def link_distances(start: Array, end: Array, radii: Array, links: Indices) -> Li
         radii: (c,) [m].
         links: (p, 2) which links.
     """
-    tiny = np.finfo(float).tiny
-    points = start[links]
-    vectors = np.empty((len(links), 3, 3))  # d₁, d₂, r
-    vectors[:, :2] = (end - start)[links]
-    vectors[:, 2] = points[:, 0] - points[:, 1]
-    products = (vectors @ vectors.transpose(0, 2, 1)).reshape(-1, 9).T
-    a, b, c, _, e, f = products[:6]
-    # Parallel segments, and points, have many nearest points: from any s the rest is exact.
-    s = _clipped((b * f - c * e) / np.maximum(a * e - b * b, tiny))
-    t = _clipped((b * s + f) / np.maximum(e, tiny))
-    s = _clipped((b * t - c) / np.maximum(a, tiny))
-    points[:, 0] += s[:, None] * vectors[:, 0]
-    points[:, 1] += t[:, None] * vectors[:, 1]
-    gap = points[:, 0] - points[:, 1]
-    return LinkPairs(
-        np.sqrt((gap * gap).sum(axis=1)) - radii[links].sum(axis=1), points)
+    pairs = LinkPairs(np.empty(len(links)), np.empty((len(links), 2, 3)))
+    _link_distances(start, end, radii, links, *pairs)
+    return pairs
+
+
+@compiled
+def _clipped(value: float) -> float:
+    return min(max(value, 0.0), 1.0)
+
+
+@compiled
+def _link_distances(
+    start: Matrix, end: Matrix, radii: Vector, links: IndexPairs, distance: OutVector,
+    points: OutStack,
+) -> None:
+    """Write the fields of `LinkPairs`."""
+    for pair in range(len(links)):
+        one, other = links[pair]
+        a, b, c, e, f = 0.0, 0.0, 0.0, 0.0, 0.0  # d₁·d₁, d₁·d₂, d₁·r, d₂·d₂, d₂·r
+        for axis in range(3):
+            d1 = end[one, axis] - start[one, axis]
+            d2 = end[other, axis] - start[other, axis]
+            r = start[one, axis] - start[other, axis]
+            a, b, c, e, f = a + d1 * d1, b + d1 * d2, c + d1 * r, e + d2 * d2, f + d2 * r
+        # Parallel segments, and points, have many nearest points: from any s the rest is exact.
+        s = _clipped((b * f - c * e) / max(a * e - b * b, _TINY))
+        t = _clipped((b * s + f) / max(e, _TINY))
+        s = _clipped((b * t - c) / max(a, _TINY))
+        squared = 0.0
+        for axis in range(3):
+            points[pair, 0, axis] = start[one, axis] + s * (end[one, axis] - start[one, axis])
+            points[pair, 1, axis] = (
+                start[other, axis] + t * (end[other, axis] - start[other, axis]))
+            squared += (points[pair, 0, axis] - points[pair, 1, axis]) ** 2
+        distance[pair] = math.sqrt(squared) - radii[one] - radii[other]
 
 
 def distance_gradients(pairs: LinkPairs, chosen: Indices, columns: Array, moves: Array) -> Array:
@@ -69,11 +99,95 @@ def distance_gradients(pairs: LinkPairs, chosen: Indices, columns: Array, moves:
         moves: (p, n) for every pair, 1 where a joint moves its first link alone, −1 where it
             moves the second alone, else 0.
     """
-    points = pairs.points[chosen]
-    gap = points[:, 0] - points[:, 1]
-    normal = gap / np.maximum(np.sqrt((gap * gap).sum(axis=1)), 1e-9)[:, None]
-    return (wrenches(points[:, 0], normal) @ columns) * moves[chosen]
+    return _distance_gradients(pairs.points, chosen, columns, moves)
 
 
-def _clipped(values: Array) -> Array:
-    return np.minimum(np.maximum(values, 0.0), 1.0)
+@compiled
+def _distance_gradients(
+    points: Stack, chosen: Indices, columns: Matrix, moves: Matrix,
+) -> Array:
+    n = columns.shape[1]
+    gradient = np.zeros((len(chosen), n))
+    for row in range(len(chosen)):
+        pair = chosen[row]
+        gap = points[pair, 0] - points[pair, 1]
+        size = max(math.sqrt(gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2]), 1e-9)
+        x1, x2, x3 = points[pair, 0]
+        f1, f2, f3 = gap / size
+        for j in range(n):
+            if moves[pair, j] != 0.0:
+                v1, v2, v3, w1, w2, w3 = columns[:, j]
+                gradient[row, j] = moves[pair, j] * (
+                    f1 * v1 + f2 * v2 + f3 * v3 + (x2 * f3 - x3 * f2) * w1
+                    + (x3 * f1 - x1 * f3) * w2 + (x1 * f2 - x2 * f1) * w3)
+    return gradient
+
+
+@compiled
+def _along(levers: Vector, motion: Vector) -> float:
+    total = 0.0
+    for j in range(len(motion)):
+        total += levers[j] * motion[j]
+    return total
+
+
+class NearLinks(NamedTuple):
+    """The pairs of links that may meet in a tick.
+
+    Attributes:
+        pairs: (k,) which.
+        distance: (k,) [m], 0 for those found closer than their margin.
+        gradient: (k, n) of the distance.
+    """
+
+    pairs: Indices
+    distance: Vector
+    gradient: Matrix
+
+
+@compiled
+def near_links(
+    q: Vector, start: Matrix, end: Matrix, columns: Matrix, radii: Vector, links: IndexPairs,
+    moves: Matrix, levers: Matrix, fastest: Vector, rate: float, known_at: OutVector,
+    known: OutVector,
+) -> NearLinks:
+    """Return the pairs whose barrier could act in this tick.
+
+    A pair's distance falls by no more than the joints between its links have moved: as long as
+    that settles it, nothing is measured. Links found closer than the margin may stay so, they
+    only may not get closer: capsules are fatter than links, and an arm must not start to move
+    by itself because of it.
+
+    Args:
+        q: (n,) the posture.
+        start, end, columns: of the arm, as for `link_distances` and `distance_gradients`.
+        radii: (c,) half the margin included [m].
+        links: (p, 2) which links.
+        moves: (p, n) as for `distance_gradients`.
+        levers: (p, n) how fast a pair's distance may fall per unit of joint velocity [m/rad, 1].
+        fastest: (n,) the fastest the joints may move [rad/s, m/s].
+        rate: share of a distance that may be used up per second [1/s].
+        known_at: (n,) where the links were last measured against each other; NaN if never.
+        known: (p,) what was found there [m]; both are brought up to date.
+    """
+    count, reach = len(links), fastest / rate
+    settled, moved = True, reach.copy()
+    for j in range(len(q)):
+        moved[j] += abs(q[j] - known_at[j])
+    for pair in range(count):
+        # Not so where nothing is known yet: no comparison with NaN holds.
+        settled = settled and known[pair] > _along(levers[pair], moved)
+    near, found = np.empty(count, np.intp), 0
+    points = np.empty((count, 2, 3))
+    if not settled:
+        _link_distances(start, end, radii, links, known, points)
+        known_at[:] = q
+        for pair in range(count):
+            if known[pair] <= _along(levers[pair], reach):
+                near[found] = pair
+                found += 1
+    distance = np.empty(found)
+    for i in range(found):
+        distance[i] = max(known[near[i]], 0.0)
+    pairs = near[:found]
+    return NearLinks(pairs, distance, _distance_gradients(points, pairs, columns, moves))

@@ -347,7 +347,7 @@ class PlannerNode(process.EndableNode):
     def _in_command_frame(self, twist: Array, q: Array) -> Array:
         if self._command.frame == self.robot.command_frame:
             return twist
-        rotation = self.robot.tip(q)[0].rotation
+        rotation = self.robot.kinematics(q).tip_rotation
         return drift.turned(twist, rotation if self._command.frame == 'tool' else rotation.T)
 
     def _publish(self, dq: Array, *, known: bool = True) -> None:

@@ -14,16 +14,16 @@ twists = arrays(float, 6, elements=st.floats(-1.0, 1.0))
 
 
 def pose_of(numbers):
-    return Pose(numbers[:3], pin.exp3(numbers[3:]))
+    return Pose(numbers[:3].copy(), np.ascontiguousarray(pin.exp3(numbers[3:])))
 
 
-@pytest.mark.parametrize('frame', ['base', 'tool'])
+@pytest.mark.parametrize('in_tool', [False, True])
 @given(start=twists, twist=twists)
-def test_one_long_step_equals_many_short_ones(frame, start, twist):
-    once = integrate(pose_of(start), twist, 1.0, frame)
+def test_one_long_step_equals_many_short_ones(in_tool, start, twist):
+    once = integrate(pose_of(start), twist, 1.0, in_tool)
     many = pose_of(start)
     for _ in range(50):
-        many = integrate(many, twist, 0.02, frame)
+        many = integrate(many, twist, 0.02, in_tool)
     np.testing.assert_allclose(once.position, many.position, atol=1e-9)
     np.testing.assert_allclose(once.rotation, many.rotation, atol=1e-9)
 
@@ -32,26 +32,26 @@ def test_one_long_step_equals_many_short_ones(frame, start, twist):
 def test_frames_agree_on_the_same_motion(start, twist):
     # To first order a tool twist ξ is the base twist (Rv, Rω) of the same tip point.
     pose, dt = pose_of(start), 1e-6
-    tool = integrate(pose, twist, dt, 'tool')
+    tool = integrate(pose, twist, dt, True)
     base = integrate(pose, np.concatenate((pose.rotation @ twist[:3], pose.rotation @ twist[3:])),
-                     dt, 'base')
+                     dt, False)
     np.testing.assert_allclose(tool.position, base.position, atol=1e-11)
     np.testing.assert_allclose(tool.rotation, base.rotation, atol=1e-11)
 
 
-@pytest.mark.parametrize('frame', ['base', 'tool'])
-def test_a_pure_rotation_leaves_the_tip_where_it_is(frame):
+@pytest.mark.parametrize('in_tool', [False, True])
+def test_a_pure_rotation_leaves_the_tip_where_it_is(in_tool):
     pose = pose_of(np.array([0.4, 0.1, 0.5, 0.3, -0.2, 0.9]))
-    turned = integrate(pose, np.array([0, 0, 0, 0.4, -1.0, 0.7]), 2.0, frame)
+    turned = integrate(pose, np.array([0, 0, 0, 0.4, -1.0, 0.7]), 2.0, in_tool)
     np.testing.assert_allclose(turned.position, pose.position, atol=1e-15)
 
 
-@pytest.mark.parametrize('frame', ['base', 'tool'])
+@pytest.mark.parametrize('in_tool', [False, True])
 @given(start=twists, error=twists)
-def test_error_is_the_inverse_of_displacement(frame, start, error):
+def test_error_is_the_inverse_of_displacement(in_tool, start, error):
     pose = pose_of(start)
     np.testing.assert_allclose(
-        pose_error(displaced(pose, error, frame), pose, frame), error, atol=1e-9)
+        pose_error(displaced(pose, error, in_tool), pose, in_tool), error, atol=1e-9)
 
 
 @given(twists, st.floats(0.0, 50.0))

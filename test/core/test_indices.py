@@ -8,6 +8,7 @@ import pytest
 from test_obstacles import random_scene
 
 from redundant_planner.core import indices, null_space as ns
+from redundant_planner.core.jacobian import derivative_between
 from redundant_planner.core.obstacles import clearance_gradients, link_clearance, Scene, whitening
 
 
@@ -23,7 +24,7 @@ def test_joint_limit_index_is_equation_3(robot):
             lambda p: indices.joint_limit_index(p, low, high)[0], q), atol=1e-8)
 
 
-def clearance_of(robot, q, obstacles, points, **options):
+def clearance_of(robot, q, obstacles, points, smoothing=0.0, influence_distance=np.inf):
     arm = robot.kinematics(q)
     scene = Scene.of(obstacles)
     if points == 'links':
@@ -35,11 +36,16 @@ def clearance_of(robot, q, obstacles, points, **options):
         moves = np.tril(np.ones((robot.n + 1, robot.n)))
     maps = whitening(scene, radii)
     pairs = link_clearance(maps, start, end)
-    value, slopes = indices.clearance_index(pairs.clearance, pairs.distance, **options)
-    links, which = np.nonzero(slopes)
-    gradient, _ = clearance_gradients(
-        maps, pairs, (links, which), start, end, arm.columns, moves)
-    return value, slopes[links, which] @ gradient
+    every = np.isfinite(pairs.clearance).nonzero()
+    gradient, _ = clearance_gradients(maps, pairs, every, start, end, arm.columns, moves)
+    return indices.clearance_index(
+        pairs.clearance.ravel(), pairs.distance.ravel(), gradient, smoothing, influence_distance)
+
+
+def change(robot, arm, left, dq):
+    """uᵀ (∂J/∂q_k) q̇."""
+    return derivative_between(
+        left, arm.tip_jacobian, dq, arm.tip_rotation, robot.in_tool, robot.rows)
 
 
 @pytest.mark.parametrize('points', ['links', 'joints'])
@@ -91,8 +97,9 @@ def shortest_path(robot, q, twist):
     parts = ns.decompose(arm.jacobian)
     gains = ns.inverse_gains(parts.singular_values, 0.0, 0.0)
     least = ns.least_norm(parts, gains, twist)
-    dual = np.linalg.solve(arm.jacobian @ arm.jacobian.T, twist)
-    return indices.shortest_path_index(least, dual, robot.jacobian_derivative_times(arm, least))
+    dual = ns.dual(parts, gains, twist)
+    np.testing.assert_allclose(arm.jacobian @ arm.jacobian.T @ dual, twist, atol=1e-8)
+    return indices.shortest_path_index(least, change(robot, arm, dual, least))
 
 
 def test_shortest_path_index_gradient(robot):
@@ -110,7 +117,7 @@ def manipulability(robot, q):
     arm = robot.kinematics(q)
     parts = ns.decompose(arm.jacobian)
     return indices.manipulability_index(parts, np.array([
-        u @ robot.jacobian_derivative_times(arm, v) for u, v in zip(parts.left.T, parts.right)]))
+        change(robot, arm, u, v) for u, v in zip(parts.left.T, parts.right)]))
 
 
 def test_manipulability_index_gradient(robot):
@@ -136,9 +143,9 @@ def test_shortest_path_index_with_joint_weights_and_prismatic_joints(paper_arm):
         parts = ns.decompose(arm.jacobian * scaling)
         gains = ns.inverse_gains(parts.singular_values, 0.0, 0.0)
         least = ns.least_norm(parts, gains, twist)
-        dual = parts.left @ (gains**2 * (parts.left.T @ twist))
-        columns = paper_arm.jacobian_derivative_times(arm, scaling * least)
-        actual, gradient = indices.shortest_path_index(least, dual, columns)
+        dual = ns.dual(parts, gains, twist)
+        actual, gradient = indices.shortest_path_index(
+            least, change(paper_arm, arm, dual, scaling * least))
         assert actual == pytest.approx(value(q))
         expected = central_difference(value, q)
         assert np.linalg.norm(gradient - expected) <= 1e-5 * (1.0 + np.linalg.norm(expected))
@@ -147,7 +154,7 @@ def test_shortest_path_index_with_joint_weights_and_prismatic_joints(paper_arm):
 def test_total_gradient_maximises_clearance_and_minimises_the_rest():
     w, s, f, m = np.eye(4)
     np.testing.assert_array_equal(
-        indices.total_gradient(w, s, f, m, k_w=2.0, k_s=3.0, k_f=4.0, k_m=5.0),
+        indices.total_gradient(w, s, f, m, 2.0, 3.0, 4.0, 5.0),
         [2.0, -3.0, -4.0, 5.0])
 
 

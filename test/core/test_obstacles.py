@@ -63,7 +63,7 @@ def test_sphere_and_capsule_meet_where_geometry_says(start, end, sphere, radius)
 
 @given(axes, st.floats(0.0, 0.3), arrays(float, (2, 3), elements=st.floats(-1, 1)))
 def test_inflation_contains_ellipsoid_plus_ball(semi_axes, radius, directions):
-    inflated = inflated_semi_axes(semi_axes, radius)
+    inflated = inflated_semi_axes(semi_axes[None], np.array([radius]))[0, 0]
     norms = np.linalg.norm(directions, axis=1)
     if (norms < 1e-3).any():
         return
@@ -83,7 +83,8 @@ def test_adding_the_radius_to_the_semi_axes_would_not_be_conservative():
     normals = np.stack((np.cos(angles), np.sin(angles) / 0.1), axis=1)
     touching = surface + radius * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     assert ((touching / (semi_axes[:2] + radius)) ** 2).sum(axis=1).max() > 1.1
-    assert ((touching / inflated_semi_axes(semi_axes, radius)[:2]) ** 2).sum(axis=1).max() <= 1
+    inflated = inflated_semi_axes(semi_axes[None], np.array([radius]))[0, 0]
+    assert ((touching / inflated[:2]) ** 2).sum(axis=1).max() <= 1
 
 
 def random_scene(robot, seed, count=3):

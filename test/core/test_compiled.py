@@ -1,0 +1,75 @@
+"""What is compiled does what it says in Python, for the types that it names."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from conftest import make_panda, PANDA_READY
+import numpy as np
+import pytest
+
+from redundant_planner.core.compiled import compiled, Fields, Matrix, OutVector, Vector
+from redundant_planner.core.obstacles import Obstacle, Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.self_collision import LinkPairs
+
+
+def motion(method: str) -> list[list[float]]:
+    """Joint velocities of an arm that runs into an obstacle, limits and its own braking."""
+    robot = make_panda()
+    planner = Planner(robot, PlannerParameters(
+        method=method, horizon_nodes=4, influence_distance=0.4))
+    scene = Scene.of([
+        Obstacle('ball', np.array([0.45, 0.05, 0.45]), np.array([0.05, 0.04, 0.08])),
+        Obstacle('other', np.array([0.3, -0.4, 0.6]), np.full(3, 0.1), velocity=(0.1, 0.2, 0))])
+    q, rows = PANDA_READY.copy(), []
+    for i in range(40):
+        twist = np.array([0.3, 0.2, -0.1, 0.1, 0.0, 0.4]) if i < 30 else np.zeros(6)
+        dq = planner.step(q, twist, scene, 0.02).dq
+        q = q + 0.02 * dq
+        rows.append(dq.tolist())
+    return rows
+
+
+@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
+def test_machine_code_does_what_the_python_does(method):
+    code = f'import json, test_compiled; print(json.dumps(test_compiled.motion({method!r})))'
+    here = Path(__file__).parent
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=True,
+        env={**os.environ, 'NUMBA_DISABLE_JIT': '1',
+             'PYTHONPATH': os.pathsep.join((str(here), str(here.parent), *sys.path))})
+    np.testing.assert_allclose(motion(method), json.loads(done.stdout), atol=1e-7)
+
+
+def test_a_wrong_type_is_an_error_and_never_compiled_for():
+    @compiled
+    def total(values: Vector) -> float:
+        return values.sum()
+
+    assert total(np.arange(3.0)) == 3.0
+    read_only = np.arange(6.0)[::2]
+    read_only.setflags(write=False)
+    assert total(read_only) == 6.0
+    for wrong in (np.arange(3), np.zeros((2, 2)), [1.0]):
+        with pytest.raises(TypeError):
+            total(wrong)
+
+
+def test_tuples_go_in_as_their_fields_and_arrays_can_be_filled():
+    @compiled
+    def fill(pairs: Fields[LinkPairs], weights: Matrix, result: OutVector) -> float:
+        pairs = LinkPairs(*pairs)
+        for i in range(len(result)):
+            result[i] = weights[i, 0] * pairs.distance[i] + pairs.points[i, 0, 0]
+        return 1.0 / weights[0, 1]
+
+    result = np.empty(2)
+    assert fill((np.array([1.0, 2.0]), np.ones((2, 2, 3))), np.array([[2.0, 0.0], [3.0, 0.0]]),
+                result) == np.inf
+    np.testing.assert_array_equal(result, [3.0, 7.0])
