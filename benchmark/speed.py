@@ -2,9 +2,10 @@
 
     python -m benchmark.speed --json speed.json
 
-The arm moves its tip at 7 cm/s and 0.1 rad/s among small ellipsoids, all of them within reach (up
-to 1.2 m from the base) or spread over a hall (20 m × 20 m × 4 m). Every figure is a median over
-ticks of one process; compare ratios, the machine's own speed changes from minute to minute.
+The arm moves its tip to and fro, at up to 7 cm/s and 0.1 rad/s, among small ellipsoids, all of
+them within reach (up to 1.2 m from the base) or spread over a hall (20 m × 20 m × 4 m). Every
+figure is a median over ticks of one process; compare ratios, the machine's own speed changes from
+minute to minute.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ _MARGIN = 0.01
 _STARTS = {'panda': np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]),
            'paper': np.array([0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0])}
 _TWIST = np.array([0.05, 0.05, 0.0, 0.0, 0.0, 0.1])
+# The tip goes to and fro, gently enough for the acceleration limits; so many ticks a turn.
+_TURN = 500
 # pink takes 0.4 ms per obstacle and tick, mink makes a model with a body for each.
 _MOST_OF_PINK, _MOST_OF_MINK = 100, 1000
 _EXTENTS = {'reach': ((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2)),
@@ -67,9 +70,10 @@ def planner_times(
     """Return the times of ticks [us]."""
     planner, scene = Planner(robot, PlannerParameters(method=method)), Scene.of(obstacles)
     planner.prepare(scene)
-    twist, q = robot.full_twist(robot.task_rows(_TWIST)), start
+    q = start
     times = np.empty(ticks)
     for i in range(ticks):
+        twist = _twist_at(i)
         begin = time.perf_counter()
         result = planner.step(q, twist, scene, _DT)
         times[i] = time.perf_counter() - begin
@@ -87,12 +91,16 @@ def peer_times(
     pose, q = Pose(arm.tip_position, arm.tip_rotation), start
     times = np.empty(ticks)
     for i in range(ticks):
-        pose = integrate(pose, _TWIST, _DT, False)
+        pose = integrate(pose, _twist_at(i), _DT, False)
         begin = time.perf_counter()
         dq = solver.step(q, pose, _DT)
         times[i] = time.perf_counter() - begin
         q = q + _DT * dq
     return 1e6 * times
+
+
+def _twist_at(tick: int) -> Array:
+    return np.sin(2.0 * np.pi * tick / _TURN) * _TWIST
 
 
 def sections(

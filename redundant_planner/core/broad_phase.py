@@ -12,11 +12,12 @@ been moved is another scene.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.compiled import compiled, Matrix, Vector
 from redundant_planner.core.obstacles import Pairs, Scene, Whitening
 
 Array = npt.NDArray[np.float64]
@@ -32,14 +33,14 @@ class Surroundings(NamedTuple):
 
     Attributes:
         scene: all obstacles.
-        near: those that can matter.
+        names: of those that can matter.
         maps: theirs.
         q: (n,) posture at which it was decided.
         range: (c,) distance that all others had from each link [m].
     """
 
     scene: Scene
-    near: Scene
+    names: tuple[str, ...]
     maps: Whitening
     q: Array
     range: Array
@@ -53,8 +54,20 @@ class Surroundings(NamedTuple):
             levers: (c, n) of the links [m/rad, 1].
             reach: (c,) how near an obstacle must be to matter [m].
         """
-        return scene is self.scene and bool(
-            (levers @ np.abs(q - self.q) + reach <= self.range).all())
+        return scene is self.scene and _within(levers, q, self.q, reach, self.range)
+
+
+@compiled
+def _within(
+    levers: Matrix, q: Vector, then: Vector, reach: Vector, limits: Vector,
+) -> bool:
+    for link in range(len(levers)):
+        needed = reach[link]
+        for j in range(len(q)):
+            needed += levers[link, j] * abs(q[j] - then[j])
+        if needed > limits[link]:
+            return False
+    return True
 
 
 def surroundings(
@@ -70,13 +83,31 @@ def surroundings(
         reach: (c,) how near an obstacle must be to matter [m].
     """
     wide = reach + _SLACK
-    chosen = np.asarray((pairs.distance <= wide[:, None]).any(axis=0))
-    chosen[int(pairs.distance.min(axis=0).argmin())] = True
-    index = np.flatnonzero(chosen)
-    names = tuple(scene.names[i] for i in index.tolist())
-    near = Scene(names, scene.centers[index], scene.rotations[index], scene.semi_axes[index],
-                 scene.velocities[index])
-    return Surroundings(scene, near, Whitening(
-        maps.centers[index], maps.rotations[index],
-        maps.inverse.take(index, axis=1), maps.smallest.take(index, axis=1),
-        maps.velocities[index], maps.speeds[index]), q, wide)
+    index, near = _chosen(maps, pairs.distance, wide)
+    return Surroundings(scene, tuple([scene.names[i] for i in index.tolist()]), near, q, wide)
+
+
+@compiled
+def _chosen(maps: Whitening, distance: Matrix, wide: Vector) -> tuple[Any, Whitening]:
+    """Return which obstacles are within a distance of a link, or the nearest; and their maps."""
+    links, count = distance.shape
+    index, found, nearest, least = np.empty(count, np.intp), 0, 0, np.inf
+    for obstacle in range(count):
+        near = False
+        for link in range(links):
+            near = near or distance[link, obstacle] <= wide[link]
+            if distance[link, obstacle] < least:
+                nearest, least = obstacle, distance[link, obstacle]
+        if near:
+            index[found] = obstacle
+            found += 1
+    if found == 0:
+        index[0], found = nearest, 1
+    index = index[:found]
+    inverse, smallest = np.empty((links, found, 3)), np.empty((links, found))
+    for link in range(links):
+        for i in range(found):
+            inverse[link, i] = maps.inverse[link, index[i]]
+            smallest[link, i] = maps.smallest[link, index[i]]
+    return index, Whitening(maps.centers[index], maps.rotations[index], inverse, smallest,
+                            maps.velocities[index], maps.speeds[index])

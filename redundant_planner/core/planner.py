@@ -337,7 +337,7 @@ class Planner:
 
         # What there is to evade; for the variational method, the way around it.
         self.prepare(scene)
-        around, maps = self._surroundings(arm, scene, dt)
+        names, maps = self._surroundings(arm, scene, dt)
         shortest = None
         if p.method == 'variational':
             shortest = self._shortest_path(arm, reference, command, ahead, first, dt)
@@ -358,7 +358,7 @@ class Planner:
         elif not desired.admissible:
             result = self._filtered(desired, arm, dt)
             dq, scale, stage = result.dq, result.scale, result.stage
-            reason = self._reason(result, commanded, desired, around, dt)
+            reason = self._reason(result, commanded, desired, names, dt)
             # What was followed of the path; neither the way back to it nor what was yielded.
             followed = scale * desired.wanted + result.coast * self._path_velocity
 
@@ -372,7 +372,7 @@ class Planner:
         self._previous = dq
         return StepResult(
             dq.copy(), desired.least_norm, desired.homogeneous, desired.factor, scale, stage,
-            reason, desired.clearance_index, self._nearest(desired, around),
+            reason, desired.clearance_index, self._nearest(desired, names),
             desired.manipulability, pose, desired.error)
 
     def _checked_command(self, twist: Array, dt: float) -> tuple[Array, bool]:
@@ -432,20 +432,18 @@ class Planner:
 
     def _surroundings(
         self, arm: Kinematics, scene: Scene, dt: float,
-    ) -> tuple[Scene, Whitening]:
-        """Return the obstacles that can matter; their links carry the clearance margin."""
+    ) -> tuple[tuple[str, ...], Whitening]:
+        """Return the names and maps, for links with the clearance margin, of what can matter."""
         assert self._maps_of is not None
         maps = self._maps_of[1]
         if len(scene.names) < FEW:
-            return scene, maps
-        speeds, rate = _pace(self._previous, self._arm, self._settings, dt)[1:]
-        reach = np.maximum((speeds + float(maps.speeds.max())) / rate,
-                           self._parameters.influence_distance)
+            return scene.names, maps
+        reach = _reach(self._previous, maps.speeds, self._arm, self._settings, dt)
         if self._around is None or not self._around.hold(
                 scene, arm.q, self.robot.levers, reach):
             pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
             self._around = surroundings(scene, maps, pairs, arm.q, reach)
-        return self._around.near, self._around.maps
+        return self._around.names, self._around.maps
 
     def _clearance_over_joints(
         self, arm: Kinematics, scene: Scene,
@@ -468,10 +466,10 @@ class Planner:
     def _filtered(
         self, desired: _Desired, arm: Kinematics, dt: float,
     ) -> safety.Filtered:
-        """Pass the desired velocity through the safety filter."""
+        """Return what comes nearest to a desired velocity that breaks a limit or a barrier."""
         p = self._parameters
         return safety.safe_velocity(
-            desired.dq, desired.smallest >= p.damping_threshold, arm.jacobian,
+            desired.dq, False, arm.jacobian,
             desired.wanted + desired.back, arm.q, self._previous, self._limits,
             safety.Barriers(
                 desired.gradient, desired.drift, desired.reserve, desired.singular),
@@ -479,39 +477,41 @@ class Planner:
             may_yield=desired.intruded and p.path_priority == 'yield', dt=dt,
             feedback=desired.back, turning=desired.turning)
 
-    def _pair_names(self, desired: _Desired, scene: Scene) -> list[str]:
-        """Name the barriers in their order, as sentences' parts."""
-        names = [capsule.name for capsule in self.robot.capsules]
-        found = [f"link '{names[link]}' near obstacle '{scene.names[obstacle]}'"
-                 for link, obstacle in desired.pairs[:desired.outer]]
-        found += [f"link '{names[i]}' near link '{names[j]}'"
-                  for i, j in desired.pairs[desired.outer:]]
-        return [*found, 'near a singularity']
-
     def _reason(
-        self, result: safety.Filtered, commanded: bool, desired: _Desired, scene: Scene,
-        dt: float,
+        self, result: safety.Filtered, commanded: bool, desired: _Desired,
+        obstacles: tuple[str, ...], dt: float,
     ) -> str:
         """Say what holds the arm back; the drives' own way to speed up and stop does not count."""
         harmless = (safety.Stage.DESIRED, safety.Stage.SCALED, safety.Stage.BRAKING)
         if (result.scale > 0.99 or not commanded) and result.stage in harmless:
             return ''
-        change = np.abs(result.dq - self._previous)
-        fastest = self.robot.acceleration_max * dt * (1.0 - 1e-6)
-        at_limit = result.joints[change[result.joints] < fastest[result.joints]].tolist()
+        fastest = dt * (1.0 - 1e-6)
+        at_limit = [i for i in result.joints.tolist() if abs(result.dq[i] - self._previous[i])
+                    < fastest * self.robot.acceleration_max[i]]
         if len(result.joints) and not at_limit and not len(result.pairs):  # speeding up
             return ''
         names = [f"joint '{self.robot.joint_names[i]}' at its limit" for i in at_limit]
-        pairs = self._pair_names(desired, scene) if len(result.pairs) else []
-        names += [pairs[i] for i in result.pairs]
+        names += [self._barrier_name(i, desired, obstacles) for i in result.pairs.tolist()]
         return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
 
-    def _nearest(self, desired: _Desired, scene: Scene) -> Nearest | None:
+    def _barrier_name(
+        self, barrier: int, desired: _Desired, obstacles: tuple[str, ...],
+    ) -> str:
+        """Name a barrier as a sentence's part."""
+        if barrier >= len(desired.pairs):
+            return 'near a singularity'
+        link, other = desired.pairs[barrier].tolist()
+        capsules = self.robot.capsules
+        if barrier < desired.outer:
+            return f"link '{capsules[link].name}' near obstacle '{obstacles[other]}'"
+        return f"link '{capsules[link].name}' near link '{capsules[other].name}'"
+
+    def _nearest(self, desired: _Desired, obstacles: tuple[str, ...]) -> Nearest | None:
         if desired.nearest_link < 0:
             return None
         return Nearest(
             self.robot.capsules[desired.nearest_link].name,
-            scene.names[desired.nearest_obstacle],
+            obstacles[desired.nearest_obstacle],
             pseudo_distance(desired.nearest_clearance), desired.nearest_distance)
 
 
@@ -579,6 +579,17 @@ def _pace(
             speeds[link] += constants.levers[link, j] * fastest[j]
     stop = safety.stopping_time(previous, constants.acceleration_max) + dt
     return fastest, speeds, safety.barrier_rate(p.barrier_gain, stop, dt)
+
+
+@compiled
+def _reach(
+    previous: Vector, obstacle_speeds: Vector, constants: Fields[_Arm],
+    settings: Fields[_Settings], dt: float,
+) -> Array:
+    """Return how near an obstacle must be to each link to matter in this tick, (c,) [m]."""
+    _, speeds, rate = _pace(previous, constants, settings, dt)
+    least = _Settings(*settings).influence_distance
+    return np.maximum((speeds + obstacle_speeds.max()) / rate, least)
 
 
 @compiled

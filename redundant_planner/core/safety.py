@@ -258,7 +258,8 @@ def safe_velocity(
 
     Args:
         desired: (n,) what the method asks for.
-        exact: whether J q̇_des = ẋ; not so where the least-norm solution is damped.
+        exact: whether J q̇_des = ẋ, so that it need not change if it is admissible; not so where
+            the least-norm solution is damped.
         jacobian: (m, n).
         twist: (m,) ẋ, drift feedback included.
         q, previous: (n,) measured positions and the velocity of the last tick.

@@ -37,7 +37,7 @@ def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach)
     around = surroundings(
         scene, maps, link_clearance(maps, arm.segment_start, arm.segment_end), q, limit)
     assert around.hold(scene, q, PANDA.levers, limit)
-    left_out = np.array([name not in around.near.names for name in scene.names])
+    left_out = np.array([name not in around.names for name in scene.names])
     for _ in range(20):
         q = q + step * random.normal(size=7) * 0.1
         arm = PANDA.kinematics(q)
