@@ -22,6 +22,7 @@ from rosbags.typesys import get_typestore, Stores
 
 from redundant_planner.core.errors import known, PlannerError
 from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.joint_layout import AFTER_STAMP, joint_layout, LayoutError
 from redundant_planner.nodes.obstacle_book import ObstacleBook, Transform
 
 Array = npt.NDArray[np.float64]
@@ -370,12 +371,15 @@ class _JointBatch:
     def fits(self, raw: bytes) -> bool:
         """Return whether a message may join the others."""
         return not self._raw or (len(raw) == len(self._raw[0])
-                                 and raw[12:len(self._head)] == self._head[12:])
+                                 and raw[AFTER_STAMP:len(self._head)] == self._head[AFTER_STAMP:])
 
     def add(self, arrival: float, raw: bytes) -> int:
         """Take in a message; return how many there are."""
         if not self._raw:
-            self._head = bytes(raw[:_positions_at(raw)])
+            try:
+                self._head = bytes(raw[:joint_layout(raw).positions])
+            except LayoutError:
+                self._head = bytes(raw)
         self._raw.append(bytes(raw))
         self._arrivals.append(arrival)
         return len(self._raw)
@@ -387,12 +391,11 @@ class _JointBatch:
         raws, arrivals = self._raw, np.array(self._arrivals)
         self._raw, self._arrivals = [], []
         try:
-            names, positions, velocities = _joint_layout(raws[0])
-        except (struct.error, IndexError, UnicodeDecodeError, RecordingError) as error:
+            names, positions, velocities, order = joint_layout(raws[0])
+        except LayoutError as error:
             self.problems.append(f'{len(raws)} messages on {self._topic} are left out: {error}')
             return
         block = np.frombuffer(b''.join(raws), np.uint8).reshape(len(raws), -1)
-        order = '<' if raws[0][1] & 1 else '>'
 
         def numbers(at: int, kind: str, count: int) -> npt.NDArray[Any]:
             size = np.dtype(kind).itemsize * count
@@ -407,47 +410,6 @@ class _JointBatch:
         dq = (numbers(velocities, 'f8', len(names)).astype(float) if velocities
               else np.full(shape, np.nan))
         yield JointChunk(self._topic, names, arrivals, stamps, q, dq)
-
-
-def _positions_at(raw: bytes) -> int:
-    """Return the offset of the positions in a serialised JointState, or its end if unreadable."""
-    try:
-        return _joint_layout(raw)[1]
-    except (struct.error, IndexError, UnicodeDecodeError, RecordingError):
-        return len(raw)
-
-
-def _joint_layout(raw: bytes) -> tuple[tuple[str, ...], int, int]:
-    """Return the joint names and the offsets of positions and velocities (0: none)."""
-    order = '<' if raw[1] & 1 else '>'
-
-    def aligned(at: int, size: int) -> int:
-        return 4 + -(-(at - 4) // size) * size
-
-    def count(at: int) -> tuple[int, int]:
-        at = aligned(at, 4)
-        return int(struct.unpack_from(order + 'I', raw, at)[0]), at + 4
-
-    length, at = count(12)
-    number, at = count(at + length)
-    if number > len(raw):
-        raise RecordingError('it is no JointState')
-    names = []
-    for _ in range(number):
-        length, at = count(at)
-        names.append(bytes(raw[at:at + length - 1]).decode())
-        at += length
-    offsets = []
-    for field_name in ('position', 'velocity'):
-        values, at = count(at)
-        if values not in (0, number) or (field_name == 'position' and values != number):
-            raise RecordingError(f'{number} joint names came with {values} {field_name} values')
-        at = aligned(at, 8) if values else at
-        offsets.append(at if values else 0)
-        at += 8 * values
-        if at > len(raw):
-            raise RecordingError('it ends too early')
-    return tuple(names), offsets[0], offsets[1]
 
 
 def _decoded(reader: AnyReader, raw: bytes, message_type: str) -> Any:

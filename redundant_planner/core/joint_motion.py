@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.compiled import compiled, Vector
 from redundant_planner.core.errors import known, RobotError
 
 Array = npt.NDArray[np.float64]
@@ -23,6 +24,7 @@ class PositionCommand:
     def __init__(self, position_min: Array, position_max: Array, tolerance: float) -> None:
         """Stay inside the position limits (n,), and within `tolerance` [rad, m] of the arm."""
         self._min, self._max, self._tolerance = position_min, position_max, tolerance
+        self._no_speed = np.zeros(len(position_min))
         self._q: Array | None = None
 
     def reset(self) -> None:
@@ -41,12 +43,20 @@ class PositionCommand:
             dt: [s].
         """
         if self._q is None or (
-                known and np.abs(self._q - measured).max() > self._tolerance):
+                known and _far_apart(self._q, measured, self._no_speed, 0.0, self._tolerance)):
             self._q = measured
-        inside = np.minimum(np.maximum(self._q + dq * dt, self._min), self._max)
-        # An arm found outside its range is not pulled: only its velocity command moves it.
-        self._q = np.where(dq == 0.0, self._q, inside)
+        self._q = _advanced(self._q, dq, dt, self._min, self._max)
         return self._q.copy()
+
+
+@compiled
+def _advanced(q: Vector, dq: Vector, dt: float, low: Vector, high: Vector) -> Array:
+    advanced = q.copy()
+    for i in range(len(q)):
+        # An arm found outside its range is not pulled: only its velocity command moves it.
+        if dq[i] != 0.0:
+            advanced[i] = min(max(q[i] + dq[i] * dt, low[i]), high[i])
+    return advanced
 
 
 def has_jumped(
@@ -60,7 +70,17 @@ def has_jumped(
         elapsed: time between them [s].
         tolerance: [rad, m], for noise and late messages.
     """
-    return bool((np.abs(after - before) > velocity_max * elapsed + tolerance).any())
+    return _far_apart(before, after, velocity_max, elapsed, tolerance)
+
+
+@compiled
+def _far_apart(
+    before: Vector, after: Vector, velocity_max: Vector, elapsed: float, tolerance: float,
+) -> bool:
+    for i in range(len(before)):
+        if abs(after[i] - before[i]) > velocity_max[i] * elapsed + tolerance:
+            return True
+    return False
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from redundant_planner.nodes.joint_messages import JointWriter
+
 Array = npt.NDArray[np.float64]
 
 POSITION_COMMANDS = 'position_commands'
@@ -36,9 +38,8 @@ class CommandOutput:
             outputs: out of `OUTPUTS`; each is the name of its topic.
             period: between commands, in which a trajectory's point shall be reached [s].
         """
-        self._clock = node.get_clock()
         self._publisher = node.create_publisher(JointState, 'joint_command', 10)
-        self._message = JointState(name=list(joint_names))
+        self._writer = JointWriter(joint_names)
         self._others = {
             name: node.create_publisher(
                 JointTrajectory if name == JOINT_TRAJECTORY else Float64MultiArray, name, 10)
@@ -46,14 +47,14 @@ class CommandOutput:
         self._trajectory = JointTrajectory(joint_names=list(joint_names))
         self._reach = Duration(seconds=period).to_msg()
 
-    def publish(self, positions: Array, velocities: Array) -> int:
-        """Publish a command, (n,) each [rad, m; per s]; return its stamp [ns]."""
-        message, now = self._message, self._clock.now()
-        message.header.stamp = now.to_msg()
+    def publish(self, stamp_ns: int, positions: Array, velocities: Array) -> None:
+        """Publish a command, (n,) each [rad, m; per s]."""
+        self._publisher.publish(self._writer.message(stamp_ns, positions, velocities))
+        if not self._others:
+            return
         # Arrays go in unseen, lists would be checked number by number.
-        message.position = position = array.array('d', positions.tobytes())
-        message.velocity = velocity = array.array('d', velocities.tobytes())
-        self._publisher.publish(message)
+        position, velocity = (
+            array.array('d', values.tobytes()) for values in (positions, velocities))
         for name, publisher in self._others.items():
             if name == JOINT_TRAJECTORY:
                 # Without a stamp it begins on arrival.
@@ -64,7 +65,6 @@ class CommandOutput:
             else:
                 publisher.publish(Float64MultiArray(
                     data=position if name == POSITION_COMMANDS else velocity))
-        return int(now.nanoseconds)
 
     def wait_until_heard(self, seconds: float) -> None:
         """Wait until reliable listeners have acknowledged the last command, or the time is up."""

@@ -15,6 +15,7 @@ from std_msgs.msg import String
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.joint_motion import joint_ranges, SimulatedArm
 from redundant_planner.nodes import messages, process
+from redundant_planner.nodes.joint_messages import JointWriter
 from redundant_planner.nodes.ros_parameters import declare, FakeHardwareParameters
 from redundant_planner.resources import resolve
 from redundant_planner.robot_parameters import RobotParameters
@@ -46,6 +47,7 @@ class FakeHardwareNode(process.EndableNode):
         self._delayed: deque[tuple[float, Array]] = deque()
 
         self._publisher = self.create_publisher(JointState, 'joint_states', 10)
+        self._writer = JointWriter(self._arm.ranges.names)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._description = self.create_publisher(String, 'robot_description', latched)
         self._description.publish(String(data=urdf))
@@ -83,12 +85,8 @@ class FakeHardwareNode(process.EndableNode):
         q = self._arm.q
         if self._noise > 0.0:
             q = q + self._random.normal(0.0, self._noise, q.shape)
-        message = JointState()
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.name = list(self._arm.ranges.names)
-        message.position = q.tolist()
-        message.velocity = self._arm.dq.tolist()
-        self._publisher.publish(message)
+        self._publisher.publish(self._writer.message(
+            self.get_clock().now().nanoseconds, q, self._arm.dq))
 
 
 def main(args: list[str] | None = None) -> int:

@@ -26,9 +26,10 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import Robot
 from redundant_planner.core.safety import braked
-from redundant_planner.nodes import messages, process
+from redundant_planner.nodes import process
 from redundant_planner.nodes.command_input import CommandInput, sender_names
 from redundant_planner.nodes.command_output import CommandOutput
+from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 from redundant_planner.nodes.ros_parameters import (
@@ -89,9 +90,14 @@ class PlannerNode(process.EndableNode):
             {'center': 3, 'semi_axes': 3, 'orientation': 4}, runtime=True)
         static = [obstacle_of(name, entry) for name, entry in self._static.items()]
 
+        # The system's own clocks, rclpy's take a hundred times as long to read.
         self._loop_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._now: Callable[[], float] = time.monotonic
+        self._stamp: Callable[[], int] = time.time_ns
         if self.get_parameter('use_sim_time').value:
-            self._loop_clock = self.get_clock()
+            clock = self._loop_clock = self.get_clock()
+            self._now = lambda: float(clock.now().nanoseconds / NANOSECONDS)
+            self._stamp = lambda: int(clock.now().nanoseconds)
         self._planner: Planner | None = None
         self._state = LoopState()
         self._q: Array | None = None
@@ -142,6 +148,7 @@ class PlannerNode(process.EndableNode):
             {robot.base_frame: 'base', robot.tip_frame: 'tool'}, robot.command_frame, self._now,
             lambda: self.get_clock().now().nanoseconds / NANOSECONDS, self._warn)
         self._command.timeout = self._settings.incoming_command_timeout
+        self._joints = JointReader(robot.joint_names)
         self._output = CommandOutput(
             self, robot.joint_names, self._settings.outputs, self._period)
         self._subscribe()
@@ -176,7 +183,8 @@ class PlannerNode(process.EndableNode):
             self.create_subscription(Twist, 'cmd_vel', command.on_twist, sensors)
         self.create_subscription(
             MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1)
-        self.create_subscription(JointState, 'joint_states', self._on_joint_state, sensors)
+        self.create_subscription(
+            JointState, 'joint_states', self._on_joint_state, sensors, raw=True)
         self.create_subscription(
             MarkerArray, 'obstacles', self._raw_obstacles.append, 10, raw=True)
         self.create_service(SetBool, '~/pause', self._on_pause)
@@ -200,9 +208,6 @@ class PlannerNode(process.EndableNode):
         """The robot; known once the loop runs."""
         assert self._planner is not None
         return self._planner.robot
-
-    def _now(self) -> float:
-        return float(self._loop_clock.now().nanoseconds / NANOSECONDS)
 
     def _apply(
         self, planner: PlannerParameters, settings: PlannerNodeParameters,
@@ -228,9 +233,9 @@ class PlannerNode(process.EndableNode):
             self._robot_parameters, self.robot, self._static, self._planner_parameters,
             self._settings)))
 
-    def _on_joint_state(self, message: JointState) -> None:
+    def _on_joint_state(self, message: bytes) -> None:
         try:
-            q = messages.positions_from_message(message, self.robot.joint_names)
+            q = self._joints.positions(message)
         except StateError as error:
             self._warn(f'joint_states ignored: {error}')
             return
@@ -352,7 +357,9 @@ class PlannerNode(process.EndableNode):
 
     def _publish(self, dq: Array, *, known: bool = True) -> None:
         assert self._q is not None
-        self._stamp_ns = self._output.publish(
+        self._stamp_ns = self._stamp()
+        self._output.publish(
+            self._stamp_ns,
             self._position_command.advance(self._q, dq, self._period, known=known), dq)
         self._dq = dq
 

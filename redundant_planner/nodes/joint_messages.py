@@ -1,0 +1,83 @@
+"""JointState messages read from and written to their bytes, without a Python object each.
+
+Making a message and taking it apart again takes rclpy 100 µs, a tenth of a core at 1 kHz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+import struct
+
+import numpy as np
+import numpy.typing as npt
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+from redundant_planner.joint_layout import AFTER_STAMP, joint_layout, LayoutError, STAMP
+from redundant_planner.nodes.messages import NANOSECONDS, positions_from_message
+
+Array = npt.NDArray[np.float64]
+
+
+class JointReader:
+    """Reads the positions of certain joints, whatever their order in the messages."""
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        """Read the n joints of these names."""
+        self._names = tuple(joint_names)
+        self._head, self._size = b'', 0
+        self._take = struct.Struct('')
+        self._index: list[int] = []
+
+    def positions(self, raw: bytes) -> Array:
+        """Return the positions (n,) in a CDR-serialised JointState [rad, m].
+
+        Raises:
+            StateError: as `positions_from_message`.
+        """
+        at = len(self._head) + AFTER_STAMP
+        if len(raw) != self._size or raw[AFTER_STAMP:at] != self._head:
+            return self._learnt(raw)
+        values = self._take.unpack_from(raw, at)
+        q = [values[i] for i in self._index]
+        if not all(map(math.isfinite, q)):
+            return self._learnt(raw)
+        return np.array(q)
+
+    def _learnt(self, raw: bytes) -> Array:
+        """Read a message the long way, which says what is wrong, and remember its layout."""
+        q = positions_from_message(deserialize_message(raw, JointState), self._names)
+        try:
+            layout = joint_layout(raw)
+        except LayoutError:
+            return q
+        self._head, self._size = bytes(raw[AFTER_STAMP:layout.positions]), len(raw)
+        self._take = struct.Struct(f'{layout.order}{len(layout.names)}d')
+        self._index = [layout.names.index(name) for name in self._names]
+        return q
+
+
+class JointWriter:
+    """Writes positions and velocities of the same joints again and again."""
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        """Write the n joints of these names."""
+        zeros = [0.0] * len(joint_names)
+        self._bytes = bytearray(serialize_message(
+            JointState(name=list(joint_names), position=zeros, velocity=zeros)))
+        self._layout = joint_layout(bytes(self._bytes))
+        self._stamp = struct.Struct(f'{self._layout.order}iI')
+        self._numbers = struct.Struct(f'{self._layout.order}{len(zeros)}d')
+
+    def message(self, stamp_ns: int, positions: Array, velocities: Array) -> bytes:
+        """Return a serialised JointState, to be published as it is.
+
+        Args:
+            stamp_ns: [ns].
+            positions, velocities: (n,) [rad, m; per s].
+        """
+        self._stamp.pack_into(self._bytes, STAMP, *divmod(stamp_ns, NANOSECONDS))
+        self._numbers.pack_into(self._bytes, self._layout.positions, *positions.tolist())
+        self._numbers.pack_into(self._bytes, self._layout.velocities, *velocities.tolist())
+        return bytes(self._bytes)

@@ -1,0 +1,65 @@
+"""JointStates by their bytes are what rclpy makes of them."""
+
+from __future__ import annotations
+
+from hypothesis import given, strategies as st
+from hypothesis.extra.numpy import arrays
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+from redundant_planner.core.errors import StateError
+from redundant_planner.nodes.joint_messages import JointReader, JointWriter
+from redundant_planner.nodes.messages import positions_from_message
+
+NAMES = st.lists(st.text(st.characters(min_codepoint=48, max_codepoint=122), min_size=1,
+                         max_size=9), min_size=1, max_size=9, unique=True)
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(NAMES, st.integers(0, 2**31 * 10**9 - 1), st.data())
+def test_written_messages_are_read_by_rclpy(names, stamp, data):
+    writer = JointWriter(names)
+    for _ in range(2):
+        q, dq = (data.draw(arrays(float, len(names), elements=NUMBERS)) for _ in range(2))
+        message = deserialize_message(writer.message(stamp, q, dq), JointState)
+        assert message.name == names
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
+        np.testing.assert_array_equal(message.position, q)
+        np.testing.assert_array_equal(message.velocity, dq)
+
+
+@given(NAMES, st.data())
+def test_positions_are_read_as_rclpy_reads_them_whatever_else_is_there(names, data):
+    wanted = data.draw(st.permutations(names))[:data.draw(st.integers(1, len(names)))]
+    reader = JointReader(wanted)
+    for _ in range(5):
+        # Another sender now and then: another order, frame or length.
+        order = data.draw(st.permutations(names)) if data.draw(st.booleans()) else names
+        more = data.draw(st.sampled_from(['velocity', 'effort', None]))
+        message = JointState(name=order, position=data.draw(
+            st.lists(NUMBERS, min_size=len(names), max_size=len(names))))
+        message.header.frame_id = data.draw(st.sampled_from(['', 'base']))
+        if more:
+            setattr(message, more, [1.0] * len(names))
+        message.header.stamp.sec = data.draw(st.integers(0, 2**31 - 1))
+        np.testing.assert_array_equal(
+            reader.positions(bytes(serialize_message(message))),
+            positions_from_message(message, wanted))
+
+
+@pytest.mark.parametrize('names, positions, problem', [
+    (['a', 'b'], [0.1, np.nan], r"position of joint 'b' is nan"),
+    (['a', 'c'], [0.1, 0.2], r"joints are missing: 'b'"),
+    (['a', 'b', 'a'], [0.1, 0.2, 0.3], r"joint names appear twice: 'a'"),
+    (['a', 'b'], [0.1], r'2 joint names came with 1 position values'),
+])
+def test_what_is_wrong_is_said_also_once_the_layout_is_known(names, positions, problem):
+    reader = JointReader(['a', 'b'])
+    good = bytes(serialize_message(JointState(name=['a', 'b'], position=[0.1, 0.2])))
+    bad = bytes(serialize_message(JointState(name=names, position=positions)))
+    for _ in range(2):
+        np.testing.assert_array_equal(reader.positions(good), [0.1, 0.2])
+        with pytest.raises(StateError, match=problem):
+            reader.positions(bad)
