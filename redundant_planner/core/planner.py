@@ -281,6 +281,8 @@ class Planner:
         self._horizon: Horizon | None = None
         self._maps_of = None
         self._around: Surroundings | None = None
+        # Of the last tick: where the arm was, and the tick's length.
+        self._last: tuple[Kinematics, float] | None = None
 
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
@@ -291,7 +293,7 @@ class Planner:
         self._command: Array = np.zeros(6)
         self._growth = 0.0
         self._horizon = None
-        self._around = None
+        self._around = self._last = None
 
     def _forget_links(self) -> None:
         """Forget where the links were last measured against each other."""
@@ -308,6 +310,8 @@ class Planner:
         if self._maps_of is None or self._maps_of[0] is not scene:
             self._maps_of = scene, whitening(
                 scene, self._radii + self._parameters.clearance_margin)
+            if self._last is not None:
+                self._surroundings(*self._last)
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
@@ -337,7 +341,8 @@ class Planner:
 
         # What there is to evade; for the variational method, the way around it.
         self.prepare(scene)
-        names, maps = self._surroundings(arm, scene, dt)
+        names, maps = self._surroundings(arm, dt)
+        self._last = arm, dt
         shortest = None
         if p.method == 'variational':
             shortest = self._shortest_path(arm, reference, command, ahead, first, dt)
@@ -430,12 +435,10 @@ class Planner:
         self._command = command
         return self._growth
 
-    def _surroundings(
-        self, arm: Kinematics, scene: Scene, dt: float,
-    ) -> tuple[tuple[str, ...], Whitening]:
+    def _surroundings(self, arm: Kinematics, dt: float) -> tuple[tuple[str, ...], Whitening]:
         """Return the names and maps, for links with the clearance margin, of what can matter."""
         assert self._maps_of is not None
-        maps = self._maps_of[1]
+        scene, maps = self._maps_of
         if len(scene.names) < FEW:
             return scene.names, maps
         reach = _reach(self._previous, maps.speeds, self._arm, self._settings, dt)
