@@ -22,7 +22,7 @@ from rosbags.typesys import get_typestore, Stores
 
 from redundant_planner.core.errors import known, PlannerError
 from redundant_planner.core.obstacles import Obstacle
-from redundant_planner.joint_layout import AFTER_STAMP, joint_layout, LayoutError
+from redundant_planner.joint_layout import joint_layout, JointLayout, LayoutError
 from redundant_planner.nodes.obstacle_book import ObstacleBook, Transform
 
 Array = npt.NDArray[np.float64]
@@ -365,21 +365,21 @@ class _JointBatch:
         self._topic = topic
         self._raw: list[bytes] = []
         self._arrivals: list[float] = []
-        self._head = b''
+        self._layout: JointLayout | None = None
         self.problems: list[str] = []
 
     def fits(self, raw: bytes) -> bool:
         """Return whether a message may join the others."""
-        return not self._raw or (len(raw) == len(self._raw[0])
-                                 and raw[AFTER_STAMP:len(self._head)] == self._head[AFTER_STAMP:])
+        return not self._raw or (
+            self._layout is not None and self._layout.fits(raw, self._raw[0]))
 
     def add(self, arrival: float, raw: bytes) -> int:
         """Take in a message; return how many there are."""
         if not self._raw:
             try:
-                self._head = bytes(raw[:joint_layout(raw).positions])
-            except LayoutError:
-                self._head = bytes(raw)
+                self._layout = joint_layout(raw)
+            except LayoutError as error:
+                self._layout, self._problem = None, str(error)
         self._raw.append(bytes(raw))
         self._arrivals.append(arrival)
         return len(self._raw)
@@ -390,11 +390,11 @@ class _JointBatch:
             return
         raws, arrivals = self._raw, np.array(self._arrivals)
         self._raw, self._arrivals = [], []
-        try:
-            names, positions, velocities, order = joint_layout(raws[0])
-        except LayoutError as error:
-            self.problems.append(f'{len(raws)} messages on {self._topic} are left out: {error}')
+        if self._layout is None:
+            self.problems.append(
+                f'{len(raws)} messages on {self._topic} are left out: {self._problem}')
             return
+        names, positions, velocities, order = self._layout[:4]
         block = np.frombuffer(b''.join(raws), np.uint8).reshape(len(raws), -1)
 
         def numbers(at: int, kind: str, count: int) -> npt.NDArray[Any]:

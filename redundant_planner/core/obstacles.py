@@ -89,16 +89,25 @@ class Obstacle:
     @property
     def rotation(self) -> Array:
         """(3, 3) ellipsoid axes in the base frame."""
-        return rotations(self.orientation)
+        return rotations(self.orientation[None])[0]
 
 
-def rotations(quaternions: Array) -> Array:
-    """Return the rotation matrices (..., 3, 3) of unit quaternions (..., 4), x y z w."""
-    x, y, z, w = np.moveaxis(quaternions, -1, 0)
-    rows = (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
-            2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
-            2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y))
-    return np.stack(rows, axis=-1).reshape(*quaternions.shape[:-1], 3, 3)
+@compiled
+def rotations(quaternions: Matrix) -> Array:
+    """Return the rotation matrices (k, 3, 3) of quaternions (k, 4), x y z w, of any length."""
+    result = np.empty((len(quaternions), 3, 3))
+    for i in range(len(quaternions)):
+        x, y, z, w = quaternions[i]
+        size = math.sqrt(x * x + y * y + z * z + w * w)
+        x, y, z, w = x / size, y / size, z / size, w / size
+        r = result[i]
+        r[0, 0], r[1, 1], r[2, 2] = (
+            1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z), 1 - 2 * (x * x + y * y))
+        r[0, 1], r[0, 2], r[1, 2] = (
+            2 * (x * y - z * w), 2 * (x * z + y * w), 2 * (y * z - x * w))
+        r[1, 0], r[2, 0], r[2, 1] = (
+            2 * (x * y + z * w), 2 * (x * z - y * w), 2 * (y * z + x * w))
+    return result
 
 
 @dataclass(frozen=True)
@@ -188,11 +197,26 @@ class Whitening(NamedTuple):
 
 def whitening(scene: Scene, radii: npt.ArrayLike) -> Whitening:
     """Prepare a scene for links of the given radii (c,) [m]."""
-    inflated = inflated_semi_axes(scene.semi_axes, np.array(radii, dtype=float))
-    smallest = np.minimum(np.minimum(inflated[..., 0], inflated[..., 1]), inflated[..., 2])
-    speeds = np.sqrt(np.square(scene.velocities).sum(axis=-1))
-    return Whitening(np.array(scene.centers), np.array(scene.rotations), 1.0 / inflated, smallest,
-                     np.array(scene.velocities), speeds)
+    return _whitening(scene.centers, scene.rotations, scene.semi_axes, scene.velocities,
+                      np.array(radii, dtype=float))
+
+
+@compiled
+def _whitening(
+    centers: Matrix, rotations: Stack, semi_axes: Matrix, velocities: Matrix, radii: Vector,
+) -> Whitening:
+    inverse = inflated_semi_axes(semi_axes, radii)
+    smallest, speeds = np.empty(inverse.shape[:2]), np.empty(len(centers))
+    for obstacle in range(len(centers)):
+        a, b, c = velocities[obstacle]
+        speeds[obstacle] = math.sqrt(a * a + b * b + c * c)
+        for link in range(len(radii)):
+            a, b, c = inverse[link, obstacle]
+            smallest[link, obstacle] = min(a, b, c)
+            for axis in range(3):
+                inverse[link, obstacle, axis] = 1.0 / inverse[link, obstacle, axis]
+    return Whitening(
+        centers.copy(), rotations.copy(), inverse, smallest, velocities.copy(), speeds)
 
 
 class Pairs(NamedTuple):

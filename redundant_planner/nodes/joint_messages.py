@@ -14,7 +14,7 @@ import numpy.typing as npt
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from redundant_planner.joint_layout import AFTER_STAMP, joint_layout, LayoutError, STAMP
+from redundant_planner.joint_layout import joint_layout, JointLayout, LayoutError, STAMP
 from redundant_planner.nodes.messages import NANOSECONDS, positions_from_message
 
 Array = npt.NDArray[np.float64]
@@ -26,8 +26,9 @@ class JointReader:
     def __init__(self, joint_names: Sequence[str]) -> None:
         """Read the n joints of these names."""
         self._names = tuple(joint_names)
-        self._head, self._size = b'', 0
-        self._take = struct.Struct('')
+        self._known = b''
+        self._layout: JointLayout | None = None
+        self._numbers = struct.Struct('')
         self._index: list[int] = []
 
     def positions(self, raw: bytes) -> Array:
@@ -36,10 +37,9 @@ class JointReader:
         Raises:
             StateError: as `positions_from_message`.
         """
-        at = len(self._head) + AFTER_STAMP
-        if len(raw) != self._size or raw[AFTER_STAMP:at] != self._head:
+        if self._layout is None or not self._layout.fits(raw, self._known):
             return self._learnt(raw)
-        values = self._take.unpack_from(raw, at)
+        values = self._numbers.unpack_from(raw, self._layout.positions)
         q = [values[i] for i in self._index]
         if not all(map(math.isfinite, q)):
             return self._learnt(raw)
@@ -52,8 +52,8 @@ class JointReader:
             layout = joint_layout(raw)
         except LayoutError:
             return q
-        self._head, self._size = bytes(raw[AFTER_STAMP:layout.positions]), len(raw)
-        self._take = struct.Struct(f'{layout.order}{len(layout.names)}d')
+        self._known, self._layout = bytes(raw), layout
+        self._numbers = struct.Struct(f'{layout.order}{len(layout.names)}d')
         self._index = [layout.names.index(name) for name in self._names]
         return q
 

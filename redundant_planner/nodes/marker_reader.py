@@ -30,6 +30,7 @@ _ENCAPSULATION = 4  # bytes before the payload, which alignment does not count
 _BEFORE_TEXTURE = ((8, 24), (4, 16), (1, 1))
 _AFTER_TEXTURE = ((1, 1), (1, 1), (1, 1), (4, 8), (1, 1), (1, 1), (1, 1), (1, 1))
 _STAMP = 8
+_POSE, _COLOR = 80, 16  # position, orientation and scale; colour
 
 
 class Markers(NamedTuple):
@@ -43,6 +44,8 @@ class Markers(NamedTuple):
         quaternions: (k, 4) x y z w.
         scales: (k, 3) full extents [m].
         lifetimes: (k,) [s], 0 for unlimited.
+        places: (k, 3) where stamp, pose and lifetime lie in the payload.
+        fixed: where the bytes lie there that tell layout, names, ids, types and actions.
     """
 
     frames: list[str]
@@ -55,6 +58,53 @@ class Markers(NamedTuple):
     quaternions: Array
     scales: Array
     lifetimes: Array
+    places: npt.NDArray[np.intp]
+    fixed: npt.NDArray[np.intp]
+
+
+class MarkerReader:
+    """Reads one message after another; of those that differ in numbers alone, only these."""
+
+    def __init__(self) -> None:
+        """Begin without a message."""
+        self._markers: Markers | None = None
+
+    def read(self, raw: bytes) -> Markers:
+        """Return the markers of a CDR-serialised visualization_msgs/MarkerArray.
+
+        Where layout, names, ids, types and actions are those of the last message, they are
+        the very same objects again.
+
+        Raises:
+            StateError: the bytes are no such message.
+        """
+        block = np.frombuffer(raw, np.uint8)
+        if self._markers is None or len(block) != len(self._fixed) or (
+                (block ^ self._fixed) & self._mask).any():
+            self._markers = None
+            markers = read_markers(raw)
+            self._learn(block, markers)
+            return markers
+        poses = np.frombuffer(raw, self._order + 'f8', self._count // 8, _ENCAPSULATION)[
+            self._poses]
+        words = np.frombuffer(raw, self._order + 'u4', self._count // 4, _ENCAPSULATION)[
+            self._times]
+        times = words[:, ::2] + 1e-9 * words[:, 1::2]
+        return self._markers._replace(
+            stamps=times[:, 0], positions=poses[:, :3], quaternions=poses[:, 3:7],
+            scales=poses[:, 7:], lifetimes=times[:, 1])
+
+    def _learn(self, block: npt.NDArray[np.uint8], markers: Markers) -> None:
+        """Remember where the numbers lie, and which bytes tell that they lie there again."""
+        self._markers, self._fixed = markers, block.copy()
+        self._order = '<' if block[1] & 1 else '>'
+        self._count = len(block) - _ENCAPSULATION
+        stamps, poses, lifetimes = markers.places.T[:, :, None]
+        self._poses = poses // 8 + np.arange(_POSE // 8)
+        self._times = np.hstack((stamps // 4 + np.arange(2), lifetimes // 4 + np.arange(2)))
+        self._mask = np.zeros(len(block), np.uint8)
+        self._mask[_ENCAPSULATION + markers.fixed] = 255
+        self._mask[1], self._mask[_ENCAPSULATION:_ENCAPSULATION + 4] = 255, 255
 
 
 class _Layout(NamedTuple):
@@ -113,7 +163,17 @@ def _runs(raw: bytes) -> Iterator[tuple[slice, Markers]]:
         length = min(_same(view) for view in views)
         for i, view in enumerate(views):
             first = done + i
-            yield (slice(first, first + step * length, step), _markers(view[:length]))
+            begins = at + sum(other.size for other in layouts[:i]) + stride * np.arange(length)
+            layout = layouts[i]
+            places = np.column_stack(
+                (begins, begins + layout.pose, begins + layout.lifetime))
+            fixed = np.concatenate([
+                *(np.arange(at, at + 4) for at in layout.counts),
+                np.arange(layout.frame, layout.frame + view.dtype['frame'].itemsize),
+                np.arange(layout.namespace, layout.namespace + view.dtype['namespace'].itemsize),
+                np.arange(layout.numbers, layout.numbers + 12)])
+            yield (slice(first, first + step * length, step),
+                   _markers(view[:length], places, (begins[:, None] + fixed).ravel()))
         at, done = at + stride * length, done + step * length
 
 
@@ -138,7 +198,7 @@ def _layout(payload: memoryview, at: int, order: str) -> _Layout:
     frame, namespace = skip(1, 1), skip(1, 1)
     numbers = here = -(-here // 4) * 4
     pose = -(-(here + 12) // 8) * 8
-    lifetime = pose + 80 + 16
+    lifetime = pose + _POSE + _COLOR
     here = lifetime + 8 + 1
     for alignment, size in _BEFORE_TEXTURE:
         skip(alignment, size)
@@ -183,12 +243,15 @@ def _same(view: npt.NDArray[Any]) -> int:
     return len(view) if same.all() else int(same.argmin())
 
 
-def _markers(view: npt.NDArray[Any]) -> Markers:
+def _markers(
+    view: npt.NDArray[Any], places: npt.NDArray[np.intp], fixed: npt.NDArray[np.intp],
+) -> Markers:
     numbers, pose = view['numbers'].astype(np.intp), view['pose'].astype(np.float64)
     return Markers(
         _strings(view, 'frame', 0), _strings(view, 'namespace', 1),
         numbers[:, 0], numbers[:, 1], numbers[:, 2], _seconds(view['stamp']),
-        pose[:, :3], pose[:, 3:7], pose[:, 7:], _seconds(view['lifetime']))
+        pose[:, :3], pose[:, 3:7], pose[:, 7:], _seconds(view['lifetime']), places,
+        fixed)
 
 
 def _strings(view: npt.NDArray[Any], field: str, count: int) -> list[str]:
@@ -211,8 +274,9 @@ def _joined(runs: list[tuple[slice, Markers]]) -> Markers:
     joined = Markers(
         [''] * count, [''] * count, np.zeros(count, np.intp), np.zeros(count, np.intp),
         np.zeros(count, np.intp), np.zeros(count), np.zeros((count, 3)), np.zeros((count, 4)),
-        np.zeros((count, 3)), np.zeros(count))
+        np.zeros((count, 3)), np.zeros(count), np.zeros((count, 3), np.intp),
+        np.concatenate([markers.fixed for _, markers in runs] or [np.empty(0, np.intp)]))
     for places, markers in runs:
-        for target, source in zip(joined, markers):
+        for target, source in zip(joined[:-1], markers):
             target[places] = source  # type: ignore[index]
     return joined

@@ -8,6 +8,16 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.compiled import (
+    compiled,
+    Indices,
+    Matrix,
+    OutMatrix,
+    OutStack,
+    OutVector,
+    Stack,
+    Vector,
+)
 from redundant_planner.core.errors import known, ObstacleError, StateError
 from redundant_planner.core.obstacles import Obstacle, rotations, Scene
 from redundant_planner.nodes.marker_reader import (
@@ -16,8 +26,8 @@ from redundant_planner.nodes.marker_reader import (
     CYLINDER,
     DELETE,
     DELETEALL,
+    MarkerReader,
     Markers,
-    read_markers,
     SPHERE,
 )
 
@@ -72,6 +82,13 @@ class ObstacleBook:
         self._heard: Array = np.empty(0)
         self._expiry: Array = np.empty(0)
         self._names: tuple[str, ...] = ()
+        self._reader = MarkerReader()
+        # The ids of a message that only gave places to known obstacles, see `MarkerReader`.
+        self._same_ids: npt.NDArray[np.intp] | None = None
+        self._rows = np.empty(0, dtype=np.intp)
+        self._factors: Array = np.empty((0, 3))
+        self._changed = False
+        self._next_change = np.inf
         self.scene = Scene.of()
         self.static = tuple(static)
 
@@ -84,6 +101,7 @@ class ObstacleBook:
     def static(self, obstacles: Iterable[Obstacle]) -> None:
         self._static = tuple(obstacles)
         self._static_scene = Scene.of(self._static)
+        self._changed = True
         self._rebuild()
 
     def update(self, raw: bytes, now: float) -> list[str]:
@@ -95,9 +113,19 @@ class ObstacleBook:
             What was wrong, a sentence per marker.
         """
         try:
-            markers = read_markers(raw)
+            markers = self._reader.read(raw)
         except StateError as error:
             return [f'obstacles: {error}']
+        if markers.ids is self._same_ids and _usable(
+                markers.positions, markers.quaternions, markers.scales):
+            # The same obstacles as last time, somewhere else.
+            self._take_over(
+                markers.positions, rotations(markers.quaternions),
+                0.5 * markers.scales * self._factors, markers.stamps, markers.lifetimes,
+                self._rows, now)
+            self._rebuild()
+            return []
+        self._same_ids, self._rows = None, np.empty(0, dtype=np.intp)
         problems: list[str] = []
         # Markers of one action after another, in the message's order.
         edges = np.flatnonzero(np.diff(markers.actions)) + 1
@@ -115,35 +143,39 @@ class ObstacleBook:
                 problems.append(f"obstacle '{_name(markers, begin)}' has action {action}; it "
                                 'must be ADD, DELETE or DELETEALL')
         self._rebuild()
+        if not problems and len(edges) == 0 and len(self._rows) == len(markers.ids) and all(
+                frame in self._frames for frame in set(markers.frames)):
+            self._same_ids = markers.ids
         if len(problems) > _SPELT_OUT:
             problems[_SPELT_OUT:] = [f'{len(problems) - _SPELT_OUT} more obstacles like that']
         return problems
 
     def expire(self, now: float) -> None:
         """Remove the obstacles whose lifetime has ended by `now`, and stop silent ones [s]."""
+        if now < self._next_change:
+            return
         ended = self._expiry <= now
         if ended.any():
             self._keep(~ended)
-            self._rebuild()
-        if self.estimate_velocity and self._velocities.any():
-            silent = (now - self._heard > _STILL_AFTER) & self._velocities.any(axis=1)
-            if silent.any():
-                self._velocities[silent] = 0.0
-                self._rebuild()
+        silent = (now - self._heard > _STILL_AFTER) & self._velocities.any(axis=1)
+        if silent.any():
+            self._velocities[silent] = 0.0
+            self._changed = True
+        self._rebuild()
+        still_moving = self._heard[self._velocities.any(axis=1)]
+        self._next_change = min(float(self._expiry.min(initial=np.inf)),
+                                float(still_moving.min(initial=np.inf)) + _STILL_AFTER + 1e-6)
 
     def _add(self, markers: Markers, part: slice, now: float) -> list[str]:
         """Take in markers; return what was wrong with those left out."""
         places = np.arange(part.start, part.stop)
         good, problems = self._checked(markers, places)
         places = places[good]
-        centers = markers.positions[places]
-        norms = np.linalg.norm(markers.quaternions[places], axis=1)[:, None]
-        turns = rotations(markers.quaternions[places] / norms)
+        centers, turns = markers.positions[places], rotations(markers.quaternions[places])
         factors = np.array([_ENCLOSING[kind] for kind in markers.types[places].tolist()])
-        semi_axes = 0.5 * markers.scales[places] * factors.reshape(-1, 3)
         centers, turns, good, unknown = self._in_base(markers, places, centers, turns)
         problems += unknown
-        places = places[good]
+        places, self._factors = places[good], factors.reshape(-1, 3)[good]
         if not len(places):
             return problems
 
@@ -151,23 +183,23 @@ class ObstacleBook:
         keys = [(namespaces[i], ids[i]) for i in places.tolist()]
         fresh = list(dict.fromkeys(key for key in keys if key not in self._index))
         self._grow(fresh)
-        rows = np.array([self._index[key] for key in keys])
-        stamps = markers.stamps[places]
-        stamps = np.where(stamps > 0.0, stamps, now)
-        if self.estimate_velocity:
-            elapsed = (stamps - self._stamps[rows])[:, None]
-            with np.errstate(invalid='ignore'):
-                velocities = (centers[good] - self._centers[rows]) / np.maximum(elapsed, 1e-9)
-                moving = np.linalg.norm(velocities, axis=1, keepdims=True) < _FASTEST
-            same = elapsed <= 0.0  # the same measurement once more
-            self._velocities[rows] = np.where(
-                same, self._velocities[rows], np.where(moving, velocities, 0.0))
-        self._centers[rows], self._rotations[rows] = centers[good], turns[good]
-        self._semi_axes[rows] = semi_axes[good]
-        self._stamps[rows], self._heard[rows] = stamps, now
-        lifetimes = markers.lifetimes[places]
-        self._expiry[rows] = np.where(lifetimes > 0.0, now + lifetimes, np.inf)
+        self._rows = np.array([self._index[key] for key in keys])
+        self._take_over(
+            centers[good], turns[good], 0.5 * markers.scales[places] * self._factors,
+            markers.stamps[places], markers.lifetimes[places], self._rows, now)
         return problems
+
+    def _take_over(
+        self, centers: Array, turns: Array, semi_axes: Array, stamps: Array, lifetimes: Array,
+        rows: npt.NDArray[np.intp], now: float,
+    ) -> None:
+        """Write what was seen into the rows it belongs to."""
+        changed, soonest = _take_over(
+            centers, turns, semi_axes, stamps, lifetimes, rows, now, self.estimate_velocity,
+            self._centers, self._rotations, self._semi_axes, self._velocities, self._stamps,
+            self._heard, self._expiry)
+        self._changed = self._changed or changed
+        self._next_change = min(self._next_change, soonest)
 
     def _checked(
         self, markers: Markers, places: npt.NDArray[np.intp],
@@ -225,6 +257,7 @@ class ObstacleBook:
         if not keys:
             return
         count = len(keys)
+        self._changed = True
         self._index.update({key: len(self._index) + i for i, key in enumerate(keys)})
         self._names = tuple(_key_name(*key) for key in self._index)
         self._centers = np.vstack((self._centers, np.full((count, 3), np.nan)))
@@ -247,6 +280,7 @@ class ObstacleBook:
         """Forget the obstacles that are not marked."""
         if keep.all():
             return
+        self._changed, self._same_ids = True, None
         keys = [key for key, kept in zip(self._index, keep.tolist()) if kept]
         self._index = {key: i for i, key in enumerate(keys)}
         self._names = tuple(_key_name(*key) for key in keys)
@@ -255,18 +289,75 @@ class ObstacleBook:
             setattr(self, field, getattr(self, field)[keep])
 
     def _rebuild(self) -> None:
-        """Make a new scene, unless it would be the same as before."""
-        static, before = self._static_scene, self.scene
-        names = static.names + self._names
+        """Make a new scene, if anything has changed since the last one."""
+        if not self._changed:
+            return
+        self._changed = False
+        static = self._static_scene
         arrays = [np.concatenate(parts) for parts in (
             (static.centers, self._centers), (static.rotations, self._rotations),
             (static.semi_axes, self._semi_axes), (static.velocities, self._velocities))]
-        if names == before.names and all(map(np.array_equal, arrays, (
-                before.centers, before.rotations, before.semi_axes, before.velocities))):
-            return
         for array in arrays:
             array.setflags(write=False)
-        self.scene = Scene(names, *arrays)
+        self.scene = Scene(static.names + self._names, *arrays)
+
+
+@compiled
+def _usable(positions: Matrix, quaternions: Matrix, scales: Matrix) -> bool:
+    """Return whether all markers are at finite places, turned by unit quaternions, and sized."""
+    for i in range(len(positions)):
+        x, y, z, w = quaternions[i]
+        norm = math.sqrt(x * x + y * y + z * z + w * w)
+        if not abs(norm - 1.0) <= _QUATERNION_TOLERANCE:
+            return False
+        for axis in range(3):
+            if not (np.isfinite(positions[i, axis]) and 0.0 < scales[i, axis] < np.inf):
+                return False
+    return True
+
+
+@compiled
+def _take_over(
+    centers: Matrix, turns: Stack, semi_axes: Matrix, stamps: Vector, lifetimes: Vector,
+    rows: Indices, now: float, estimate_velocity: bool, known_centers: OutMatrix,
+    known_turns: OutStack, known_semi_axes: OutMatrix, velocities: OutMatrix,
+    known_stamps: OutVector, heard: OutVector, expiry: OutVector,
+) -> tuple[bool, float]:
+    """Write what was seen of obstacles into their rows.
+
+    Returns:
+        Whether anything is new, and when an obstacle ends or falls silent at the earliest [s].
+    """
+    changed, soonest = False, np.inf
+    for i in range(len(rows)):
+        row = rows[i]
+        stamp = stamps[i] if stamps[i] > 0.0 else now
+        elapsed = stamp - known_stamps[row]
+        if estimate_velocity and elapsed > 0.0:  # else it is the same measurement once more
+            velocity, squared = np.zeros(3), 0.0
+            for axis in range(3):
+                velocity[axis] = (
+                    centers[i, axis] - known_centers[row, axis]) / max(elapsed, 1e-9)
+                squared += velocity[axis] ** 2
+            moving = squared < _FASTEST ** 2  # not so where it was never seen before: NaN
+            for axis in range(3):
+                speed = velocity[axis] if moving else 0.0
+                changed = changed or speed != velocities[row, axis]
+                velocities[row, axis] = speed
+        for axis in range(3):
+            changed = (changed or centers[i, axis] != known_centers[row, axis]
+                       or semi_axes[i, axis] != known_semi_axes[row, axis])
+            known_centers[row, axis] = centers[i, axis]
+            known_semi_axes[row, axis] = semi_axes[i, axis]
+            for other in range(3):
+                changed = changed or turns[i, axis, other] != known_turns[row, axis, other]
+                known_turns[row, axis, other] = turns[i, axis, other]
+        known_stamps[row], heard[row] = stamp, now
+        expiry[row] = now + lifetimes[i] if lifetimes[i] > 0.0 else np.inf
+        soonest = min(soonest, expiry[row])
+        if velocities[row].any():
+            soonest = min(soonest, now + _STILL_AFTER + 1e-6)
+    return changed, soonest
 
 
 def _key_name(namespace: str, number: int) -> str:

@@ -34,6 +34,6 @@ def transform_lookup(node: Node, base_frame: str) -> Callable[[str], Transform] 
         except tf2_ros.TransformException as error:
             raise ObstacleError(f'tf2 knows no way from there to {base_frame}: {error}') from None
         p, o = found.translation, found.rotation
-        return np.array([p.x, p.y, p.z]), rotations(np.array([o.x, o.y, o.z, o.w]))
+        return np.array([p.x, p.y, p.z]), rotations(np.array([[o.x, o.y, o.z, o.w]]))[0]
 
     return transform

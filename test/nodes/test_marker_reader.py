@@ -12,7 +12,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.nodes.marker_reader import read_markers
+from redundant_planner.nodes.marker_reader import MarkerReader, read_markers
 
 # ROS strings end at the first zero character.
 NAMES = st.text(st.characters(min_codepoint=1, codec='utf-8'), max_size=9)
@@ -80,3 +80,30 @@ def test_what_is_no_marker_array_is_refused():
     for raw in (whole[:80], whole[:4], b'\x00\x01\x00\x00\xff\xff\xff\xff'):
         with pytest.raises(StateError, match='no MarkerArray'):
             read_markers(raw)
+
+
+@settings(deadline=None)
+@given(st.lists(markers(), max_size=4), st.data())
+def test_one_message_after_another_reads_like_each_alone(listed, data):
+    """Whatever changes in between: a number, a name, or how many there are."""
+    reader, message = MarkerReader(), MarkerArray(markers=listed)
+    for _ in range(6):
+        raw = bytes(serialize_message(message))
+        read, alone = reader.read(raw), read_markers(raw)
+        for name in alone._fields:
+            np.testing.assert_array_equal(getattr(read, name), getattr(alone, name))
+        before = read.ids
+        change = data.draw(st.sampled_from(['number', 'number', 'id', 'name', 'fewer']))
+        if not message.markers or change == 'fewer':
+            message.markers = message.markers[1:]
+            continue
+        marker = message.markers[data.draw(st.integers(0, len(message.markers) - 1))]
+        if change == 'number':
+            marker.pose.position.y, marker.scale.z = data.draw(NUMBERS), data.draw(NUMBERS)
+            marker.header.stamp.sec, marker.lifetime.nanosec = data.draw(st.integers(0, 9)), 3
+            marker.color.g = 0.5
+            assert reader.read(bytes(serialize_message(message))).ids is before
+        elif change == 'id':
+            marker.id = data.draw(st.integers(0, 3))
+        else:
+            marker.ns = data.draw(NAMES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from builtin_interfaces.msg import Time
+from hypothesis import given, settings, strategies as st
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -11,6 +12,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.nodes.marker_reader import read_markers
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 
 
@@ -124,3 +126,38 @@ def test_a_thousand_markers_keep_their_identity():
     tell(book, 0.1, *(marker(int(i), at=places[i]) for i in order))
     assert book.scene.names == tuple(f'o/{i}' for i in range(1000))
     np.testing.assert_allclose(book.scene.centers, places)
+
+
+class Afresh:
+    """A reader that takes every message for a new one."""
+
+    def read(self, raw):
+        return read_markers(raw)
+
+
+@settings(deadline=None)
+@given(st.data())
+def test_obstacles_that_only_move_end_up_where_the_long_way_leads(data):
+    """The same messages to a book that knows what is new and to one that does not."""
+    quick, slow = (ObstacleBook([], ['base'], estimate_velocity=True) for _ in range(2))
+    slow._reader = Afresh()
+    numbers, now = list(range(3)), 0.0
+    for _ in range(8):
+        now += data.draw(st.sampled_from([0.03, 0.2, 0.5]))
+        what = data.draw(st.sampled_from(['move'] * 5 + ['delete', 'fewer', 'wrong', 'shape']))
+        if what == 'fewer':
+            numbers = data.draw(st.permutations(range(3)))[:2]
+        kind = Marker.CUBE if what == 'shape' else Marker.SPHERE
+        told = [marker(i, at=data.draw(st.tuples(*[st.floats(-1, 1)] * 3)), kind=kind,
+                       action=Marker.DELETE if what == 'delete' else Marker.ADD)
+                for i in numbers]
+        if what == 'wrong':
+            told[0].scale.x = -1.0
+        told[-1].lifetime.sec = data.draw(st.integers(0, 1))
+        assert tell(quick, now, *told) == tell(slow, now, *told)
+        quick.expire(now + 0.02)
+        slow.expire(now + 0.02)
+        assert quick.scene.names == slow.scene.names
+        for field in ('centers', 'rotations', 'semi_axes', 'velocities'):
+            np.testing.assert_array_equal(
+                getattr(quick.scene, field), getattr(slow.scene, field))
