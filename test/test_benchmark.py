@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmark import loop, speed
 from benchmark.generator import DURATION, generate, Task
 from benchmark.judge import Judge
-from benchmark.scenarios import METHODS, run_planner, summarise
+from benchmark.scenarios import make_robot, METHODS, run_planner, summarise
 
 
 @pytest.mark.parametrize('moving', [False, True])
@@ -114,3 +114,11 @@ def test_the_loops_obstacles_leave_the_start_free():
         arm = robot.kinematics(loop._STARTS['panda'])
         maps = whitening(book.scene, [c.radius for c in robot.capsules])
         assert link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min() > 0.0
+
+
+def test_an_arm_does_not_whip_off_its_path():
+    """One that did: next to a singularity, around an obstacle, and 10.6 mm away."""
+    robot = make_robot('panda', 6)
+    outcome = run_planner(
+        robot, METHODS['variational_held'], Judge(robot), generate(robot, 1025))
+    assert outcome.verdict.path_error < 1e-3

@@ -54,6 +54,8 @@ _STANDSTILL = 1e-12
 _FIRST_STEPS = 100
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
 _FOUND_INSIDE = 1e-3
+# How far the tip may leave its path while null-space motion is being braked [m], [rad].
+_STRAY, _STRAY_ANGLE = 5e-4, 5e-3
 # Over how long the trend of a held command is averaged [s].
 _TREND = 0.1
 
@@ -153,7 +155,9 @@ class _Desired(NamedTuple):
         least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
         smallest: J's smallest singular value.
         gradient, drift, reserve: of the barriers, see `safety.Barriers`.
-        singular: how many of the last barriers keep away from a singularity.
+        soft: how many of the last barriers are not urgent, see `safety.Barriers`: one that
+            keeps away from a singularity, and one on the speed of null-space motion.
+        near_singular: whether the former is among them.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
         pairs: (a + k, 2) links and obstacles, then links and links, that the barriers are about.
         outer: a, how many of these are about obstacles.
@@ -173,7 +177,8 @@ class _Desired(NamedTuple):
     gradient: Matrix
     drift: Vector
     reserve: Vector
-    singular: int
+    soft: int
+    near_singular: bool
     intruded: bool
     pairs: IndexPairs
     outer: int
@@ -475,7 +480,7 @@ class Planner:
             desired.dq, False, arm.jacobian,
             desired.wanted + desired.back, arm.q, self._previous, self._limits,
             safety.Barriers(
-                desired.gradient, desired.drift, desired.reserve, desired.singular),
+                desired.gradient, desired.drift, desired.reserve, desired.soft),
             weights=self._weights, gain=p.barrier_gain,
             may_yield=desired.intruded and p.path_priority == 'yield', dt=dt,
             feedback=desired.back, turning=desired.turning)
@@ -501,8 +506,10 @@ class Planner:
         self, barrier: int, desired: _Desired, obstacles: tuple[str, ...],
     ) -> str:
         """Name a barrier as a sentence's part."""
-        if barrier >= len(desired.pairs):
+        if barrier == len(desired.pairs) and desired.near_singular:
             return 'near a singularity'
+        if barrier >= len(desired.pairs):
+            return 'null-space motion that could not stop without leaving the path'
         link, other = desired.pairs[barrier].tolist()
         capsules = self.robot.capsules
         if barrier < desired.outer:
@@ -596,6 +603,31 @@ def _reach(
 
 
 @compiled
+def _fastest_sway(arm: Kinematics, sway: Vector, constants: _Arm) -> float:
+    """Return how fast null-space motion h may be to stop next to the path [rad/s, m/s].
+
+    All joints slowing in proportion within T, the tip is accelerated by J̇ h while h lasts, and
+    has been moved aside by |J̇ h| T²/8 at the end (docs/safety.md). That grows with the fourth
+    power of the speed. Infinite where h is far from that.
+    """
+    rate = rate_times(
+        arm.tip_jacobian, sway, arm.tip_rotation, constants.in_tool, constants.rows)
+    squared, squared_angle = 0.0, 0.0
+    for i in range(len(rate)):
+        if constants.rows[i] < 3:
+            squared += rate[i] * rate[i]
+        else:
+            squared_angle += rate[i] * rate[i]
+    stop = safety.stopping_time(sway, constants.acceleration_max)
+    aside = stop * stop / 8.0 * max(
+        math.sqrt(squared) / _STRAY, math.sqrt(squared_angle) / _STRAY_ANGLE)
+    # A tick adds less than a tenth to a speed at which this matters.
+    if aside < 0.6:
+        return np.inf
+    return math.sqrt(np.sum(sway * sway)) / aside ** 0.25
+
+
+@compiled
 def _desired(
     arm: Fields[Kinematics], position: Vector, rotation: Matrix, command: Vector,
     maps: Fields[Whitening], constants: Fields[_Arm], settings: Fields[_Settings],
@@ -684,17 +716,22 @@ def _desired(
     # only may not get closer.
     outer, inner = len(near.acting), len(own.pairs)
     singular = 1 if smallest <= _SINGULARITY_NEAR * p.singularity_margin else 0
+    intruded = False
+    for at in near.acting:
+        intruded = intruded or near.distance[at] < -_FOUND_INSIDE or near.rate[at] < 0.0
+    # Who has to evade shall do so in the null space, at any speed, rather than leave the path.
+    sway = scaling * null_space.project(parts, previous / scaling)
+    fastest_sway = np.inf if intruded else _fastest_sway(arm, sway, constants)
+    swaying = 1 if fastest_sway < np.inf else 0
     count = outer + inner
-    barriers = np.empty((count + singular, len(previous)))
+    barriers = np.empty((count + singular + swaying, len(previous)))
     drifts, reserves = np.zeros(len(barriers)), np.empty(len(barriers))
     pairs = np.empty((count, 2), np.intp)
-    intruded = False
     for i in range(outer):
         at = near.acting[i]
         barriers[i] = near.gradient[at]
         drifts[i], reserves[i] = near.rate[at], near.clearance[at]
         pairs[i, 0], pairs[i, 1] = near.links[at], near.obstacles[at]
-        intruded = intruded or near.distance[at] < -_FOUND_INSIDE or near.rate[at] < 0.0
     barriers[outer:count] = own.gradient
     reserves[outer:count] = own.distance
     pairs[outer:] = constants.self_pairs[own.pairs]
@@ -703,6 +740,13 @@ def _desired(
             parts.left[:, -1], arm.tip_jacobian, scaling * parts.right[-1], arm.tip_rotation,
             constants.in_tool, rows)
         reserves[count] = max(smallest - p.singularity_margin, 0.0)
+    if swaying:
+        # h·q̇ / |h| may be that much at most, whatever the rate of the other barriers.
+        speed = math.sqrt(np.sum(sway * sway))
+        slower = 1.0 - dt / max(safety.stopping_time(previous, constants.acceleration_max), dt)
+        barriers[count + singular] = -sway / speed
+        drifts[count + singular] = max(fastest_sway, slower * np.sum(sway * previous) / speed)
+        reserves[count + singular] = 0.0
 
     least_norm, homogeneous = scaling * least_norm, scaling * homogeneous
     dq = least_norm + homogeneous  # Eq. 1
@@ -712,9 +756,9 @@ def _desired(
         p.barrier_gain, dt)
     return _Desired(
         dq, least_norm, homogeneous, factor, level,
-        null_space.manipulability(parts), smallest, barriers, drifts, reserves, singular,
-        intruded, pairs, outer, near.nearest_link, near.nearest_obstacle,
-        near.nearest_clearance, near.nearest_distance, admissible, task.wanted, task.back,
+        null_space.manipulability(parts), smallest, barriers, drifts, reserves,
+        singular + swaying, singular == 1, intruded, pairs, outer, near.nearest_link,
+        near.nearest_obstacle, near.nearest_clearance, near.nearest_distance, admissible, task.wanted, task.back,
         task.turning, task.error, task.reference.position, task.reference.rotation)
 
 
