@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from redundant_planner.core.errors import known, ParameterError, RobotError
+from redundant_planner.core.joint_motion import joint_ranges
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.core.parameters import check, parameter
 from redundant_planner.core.robot import AXES, Capsule, COMMAND_FRAMES, Robot
@@ -57,6 +58,10 @@ class RobotParameters:
         (), description='Joints held still at locked_positions.')
     locked_positions: tuple[float, ...] = parameter(
         (), unit='rad, m', description='One position per locked joint.')
+    lock_where_measured: bool = parameter(
+        False, description='Whether planner_node holds the other joints outside the chain where '
+                           'joint_states says that they are when it starts, rather than at 0: '
+                           'grippers and second arms that nobody moves meanwhile.')
     velocity_max: tuple[float, ...] = parameter(
         (), low=1e-6, unit='rad/s, m/s',
         description="Replaces the URDF's velocity limits: one value, or one per joint.")
@@ -136,6 +141,28 @@ def build_robot(
         say("fitting capsules to the URDF's collision geometry, once for all starts to come")
     fits = fitted_capsules(robot_with([]), urdf_folder(p, folder))
     return robot_with([capsule for fit in fits for capsule in fit.capsules])
+
+
+def joints_to_measure(parameters: RobotParameters, urdf: str) -> tuple[str, ...]:
+    """Return the joints that are locked where they are found; none if that is not wanted.
+
+    Those are the movable joints of the URDF that are neither in the chain nor locked by name.
+
+    Raises:
+        RobotError, ParameterError: as `build_robot`.
+    """
+    if not parameters.lock_where_measured:
+        return ()
+    chain = build_robot(replace(parameters, capsules=(), link_shapes='straight'), urdf, {})
+    return tuple(name for name in joint_ranges(urdf).names
+                 if name not in chain.joint_names and name not in parameters.locked_joints)
+
+
+def locked_at(parameters: RobotParameters, positions: Mapping[str, float]) -> RobotParameters:
+    """Return the parameters with more joints locked: name → position [rad, m]."""
+    return replace(
+        parameters, locked_joints=(*parameters.locked_joints, *positions),
+        locked_positions=(*parameters.locked_positions, *positions.values()))
 
 
 def urdf_folder(parameters: RobotParameters, folder: Path | None = None) -> Path | None:

@@ -758,8 +758,9 @@ def _desired(
         dq, least_norm, homogeneous, factor, level,
         null_space.manipulability(parts), smallest, barriers, drifts, reserves,
         singular + swaying, singular == 1, intruded, pairs, outer, near.nearest_link,
-        near.nearest_obstacle, near.nearest_clearance, near.nearest_distance, admissible, task.wanted, task.back,
-        task.turning, task.error, task.reference.position, task.reference.rotation)
+        near.nearest_obstacle, near.nearest_clearance, near.nearest_distance, admissible,
+        task.wanted, task.back, task.turning, task.error, task.reference.position,
+        task.reference.rotation)
 
 
 @compiled

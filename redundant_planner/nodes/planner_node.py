@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
@@ -19,7 +20,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core import drift
-from redundant_planner.core.errors import PlannerError, StateError
+from redundant_planner.core.errors import known, PlannerError, StateError
 from redundant_planner.core.horizon import TwistAhead
 from redundant_planner.core.joint_motion import has_jumped, PositionCommand
 from redundant_planner.core.parameters import PlannerParameters
@@ -43,6 +44,8 @@ from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.recorded_tick import RecordedTick, TickKind
 from redundant_planner.robot_parameters import (
     build_robot,
+    joints_to_measure,
+    locked_at,
     obstacle_of,
     parameter_file_text,
     RobotParameters,
@@ -116,9 +119,11 @@ class PlannerNode(process.EndableNode):
         self._said: dict[str, float] = {}
         self._period = 1.0 / self._settings.rate
 
+        self._foreign: Subscription | None = None
+        self._locking: Subscription | None = None
         urdf = urdf_text(self._robot_parameters)
         if urdf:
-            self._start(urdf, static)
+            self._begin(urdf, static)
         else:
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._description = self.create_subscription(
@@ -127,12 +132,40 @@ class PlannerNode(process.EndableNode):
             self.get_logger().info('waiting for a URDF on the topic robot_description')
 
     def _on_robot_description(self, message: String, static: list[Any]) -> None:
-        if self._planner is not None:
+        if self._planner is not None or self._locking is not None:
             return
         try:
-            self._start(message.data, static)
+            self._begin(message.data, static)
         except PlannerError as error:
             self.get_logger().error(f'robot_description: {error}')
+
+    def _begin(self, urdf: str, static: list[Any]) -> None:
+        """Start, once the joints that are to be held where they are have been seen."""
+        missing = set(joints_to_measure(self._robot_parameters, urdf))
+        if not missing:
+            self._start(urdf, static)
+            return
+        seen: dict[str, float] = {}
+
+        def look(message: JointState) -> None:
+            if self._planner is not None:
+                return
+            seen.update((name, position) for name, position in zip(message.name, message.position)
+                        if name in missing and np.isfinite(position))
+            if len(seen) < len(missing):
+                self._warn('joint_states lacks joints that lock_where_measured waits for: '
+                           f'{known(sorted(missing - set(seen)))}')
+                return
+            self._robot_parameters = locked_at(self._robot_parameters, seen)
+            self.get_logger().info('held where they are: ' + ', '.join(
+                f'{name} at {position:g}' for name, position in seen.items()))
+            try:
+                self._start(urdf, static)
+            except PlannerError as error:
+                self.get_logger().error(str(error))
+
+        self._locking = self.create_subscription(
+            JointState, 'joint_states', look, qos_profile_sensor_data)
 
     def _start(self, urdf: str, static: list[Any]) -> None:
         robot = build_robot(
@@ -287,9 +320,9 @@ class PlannerNode(process.EndableNode):
             self._state.fault = False
             return 'waiting for joint_states' if self._q is None else (
                 'looking whether somebody else commands this arm')
-        if self._foreign is not None:
-            self.destroy_subscription(self._foreign)
-            self._foreign = None
+        for done in filter(None, (self._foreign, self._locking)):
+            self.destroy_subscription(done)
+        self._foreign = self._locking = None
         timeout = self._settings.joint_state_timeout
         if now - self._q_time > timeout:
             self._warn(f'no usable joint_states for {timeout:g} s: stopped')

@@ -12,7 +12,10 @@ import pinocchio as pin
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+import yaml
 
 from redundant_planner.analysis import metrics, paper
 from redundant_planner.analysis.demo import summarise
@@ -35,6 +38,16 @@ def panda_values():
     names = [f'panda_joint{i}' for i in range(1, 8)]
     return {'urdf': PANDA_URDF, 'initial_joints': names,
             'initial_positions': PANDA_READY.tolist()}
+
+
+def configuration(ros):
+    """The parameters that the planner says it runs with."""
+    said = []
+    ros.node.create_subscription(
+        String, 'planner_node/configuration', lambda message: said.append(message.data),
+        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    ros.wait_for(lambda: said, 'configuration')
+    return yaml.safe_load(said[-1])['/**']['ros__parameters']
 
 
 def test_the_papers_motion_live(paper_runs):
@@ -74,12 +87,19 @@ def test_the_papers_method_live_ends_where_it_ends_offline(tmp_path):
 
 
 def test_a_panda_follows_a_typed_twist_for_ten_seconds():
-    robot = make_panda()
+    """With a gripper that the planner holds where it finds it."""
+    robot, arm = make_panda(), panda_values()
+    arm['initial_joints'] += ['panda_finger_joint1']
+    arm['initial_positions'] += [0.03]
     with station() as (ros, processes):
-        processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], panda_values())
-        processes.start('planner_node', [ROBOTS / 'panda.yaml'], {'urdf': PANDA_URDF})
+        processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], arm)
+        processes.start('planner_node', [ROBOTS / 'panda.yaml'],
+                        {'urdf': PANDA_URDF, 'lock_where_measured': True})
         ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
         ros.wait_for(lambda: ros.states and 'panda_finger_joint1' in ros.states[-1].name, 'arm')
+        said = configuration(ros)
+        assert said['locked_joints'] == ['panda_finger_joint1']
+        assert said['locked_positions'] == pytest.approx([0.03])
         before = robot.kinematics(ros.state(robot.joint_names))
         twist = np.array([0.01, 0.012, -0.008, 0.0, 0.0, 0.02])
         ros.drive(twist, 10.0, rate=20.0)
