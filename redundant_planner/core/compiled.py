@@ -123,8 +123,11 @@ def _folder() -> Path | None:
         here = Path(__file__).parent
         sources = b''.join(path.read_bytes() for path in sorted(here.glob('*.py')))
         name = f'compiled-{zlib.crc32(sources):08x}'
-        caches = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache')
-        for parent in (here / '__pycache__', caches / 'redundant_planner'):
+        parents = [here / '__pycache__', Path(os.environ.get(
+            'XDG_CACHE_HOME') or os.path.expanduser('~/.cache')) / 'redundant_planner']
+        if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, somebody's wish
+            parents.insert(0, Path(numba.config.CACHE_DIR))
+        for parent in parents:
             try:
                 (parent / name).mkdir(parents=True, exist_ok=True)
             except OSError:

@@ -283,7 +283,7 @@ class Horizon:
             poses: N, from `poses_ahead`.
             maps: the obstacles now, for links with their margin.
             dt: time since the last tick [s].
-            steps: to take, of some 0.5 ms each.
+            steps: to take, of some 0.3 ms each.
         """
         if self._plan is not None:
             self._plan = self._moved_on(self._plan, q, dt)

@@ -135,7 +135,7 @@ def shortest_path_index(least_norm: Vector, change: Vector) -> tuple[float, Arra
 
     Args:
         least_norm: (n,) J⁺ẋ.
-        change: (n,) yᵀ (∂J/∂q_k) J⁺ẋ, from `Robot.jacobian_derivative_between`.
+        change: (n,) yᵀ (∂J/∂q_k) J⁺ẋ, from `derivative_between`.
     """
     value = 0.0
     for j in range(len(least_norm)):

@@ -1,7 +1,7 @@
 """One tick of the planner: state, command and scene in, joint velocity out.
 
-The only composition in the package. Every line of `Planner.step` is an equation of the paper or
-a section of docs/derivations.md and docs/safety.md.
+The only composition in the package: `Planner.step` around `_desired`, where every line is an
+equation of the paper or a section of docs/derivations.md and docs/safety.md.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.horizon import continued, Horizon, node_times, poses_ahead, TwistAhead
 from redundant_planner.core.jacobian import derivative_between, rate_times
+from redundant_planner.core.null_space import Decomposition
 from redundant_planner.core.obstacles import (
     clearance_gradients,
     link_clearance,
     near_pairs,
+    NearPairs,
     pseudo_distance,
     Scene,
     Whitening,
@@ -38,7 +40,7 @@ from redundant_planner.core.obstacles import (
 )
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import Kinematics, Robot
-from redundant_planner.core.self_collision import near_links
+from redundant_planner.core.self_collision import near_links, NearLinks
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +52,7 @@ _SINGULARITY_NEAR = 5.0
 _ABSURD = 1e100
 # A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
 _STANDSTILL = 1e-12
-# Steps of the horizon in the very first tick: two surveys, some 50 ms.
+# Steps of the horizon in the very first tick: two surveys, some 30 ms.
 _FIRST_STEPS = 100
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
 _FOUND_INSIDE = 1e-3
@@ -153,14 +155,7 @@ class _Desired(NamedTuple):
     Attributes:
         dq: (n,) Eq. 1.
         least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
-        smallest: J's smallest singular value.
-        gradient, drift, reserve: of the barriers, see `safety.Barriers`.
-        soft: how many of the last barriers are not urgent, see `safety.Barriers`: one that
-            keeps away from a singularity, and one on the speed of null-space motion.
-        near_singular: whether the former is among them.
-        intruded: whether an obstacle moves towards the arm, or the arm was found too close.
-        pairs: (a + k, 2) links and obstacles, then links and links, that the barriers are about.
-        outer: a, how many of these are about obstacles.
+        gradient, drift, reserve, soft, near_singular, intruded, pairs, outer: see `_Barriers`.
         nearest_link, nearest_obstacle, nearest_clearance, nearest_distance: see `NearPairs`.
         admissible: whether `dq` breaks no limit and no barrier.
         wanted, back, turning, error: see `_Task`.
@@ -173,7 +168,6 @@ class _Desired(NamedTuple):
     factor: float
     clearance_index: float
     manipulability: float
-    smallest: float
     gradient: Matrix
     drift: Vector
     reserve: Vector
@@ -341,7 +335,6 @@ class Planner:
         first = self._reference is None
         arm = robot.kinematics(q)
         pose = Pose(arm.tip_position, arm.tip_rotation)
-
         reference = pose if self._reference is None else self._reference
 
         # What there is to evade; for the variational method, the way around it.
@@ -628,6 +621,104 @@ def _fastest_sway(arm: Kinematics, sway: Vector, constants: _Arm) -> float:
 
 
 @compiled
+def _total_gradient(
+    arm: Kinematics, clearance: Vector, parts: Decomposition, gains: Vector, least_norm: Vector,
+    twist: Vector, constants: _Arm, p: _Settings,
+) -> Array:
+    """Return ∇H of Eq. 18; an index of no weight costs nothing."""
+    scaling = constants.scaling
+    joint_limit, shortest_path, manipulability = np.zeros((3, len(scaling)))
+    if p.k_s > 0.0:
+        _, joint_limit = indices.joint_limit_index(
+            arm.q, constants.position_min, constants.position_max)
+    if p.k_f > 0.0:
+        _, shortest_path = indices.shortest_path_index(least_norm, derivative_between(
+            null_space.dual(parts, gains, twist), arm.tip_jacobian, scaling * least_norm,
+            arm.tip_rotation, constants.in_tool, constants.rows))
+    nearness = parts.singular_values[-1] / max(p.singularity_margin, 1e-9) - 1.0
+    if p.k_m > 0.0 and nearness < 1.0:
+        changes = np.empty(parts.right.shape)
+        for i in range(len(changes)):
+            changes[i] = derivative_between(
+                parts.left[:, i], arm.tip_jacobian, scaling * parts.right[i],
+                arm.tip_rotation, constants.in_tool, constants.rows)
+        _, manipulability = indices.manipulability_index(parts, changes)
+        manipulability = indices.fade(nearness) * manipulability
+    return indices.total_gradient(
+        clearance, joint_limit, shortest_path, manipulability, p.k_w, p.k_s, p.k_f, p.k_m)
+
+
+class _Barriers(NamedTuple):
+    """What must not be used up in a tick.
+
+    Attributes:
+        gradient, drift, reserve: see `safety.Barriers`.
+        soft: how many of the last are not urgent, see there: one that keeps away from a
+            singularity, and one on the speed of null-space motion.
+        near_singular: whether the former is among them.
+        intruded: whether an obstacle moves towards the arm, or the arm was found too close.
+        pairs: (a + k, 2) links and obstacles, then links and links, that the others are about.
+        outer: a, how many of these are about obstacles.
+    """
+
+    gradient: Matrix
+    drift: Vector
+    reserve: Vector
+    soft: int
+    near_singular: bool
+    intruded: bool
+    pairs: IndexPairs
+    outer: int
+
+
+@compiled
+def _barriers(
+    arm: Kinematics, parts: Decomposition, near: NearPairs, own: NearLinks, previous: Vector,
+    constants: _Arm, p: _Settings, dt: float,
+) -> _Barriers:
+    """Return what keeps the arm off obstacles, itself and singularities, and from whipping.
+
+    With the singular value's directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v. Closer than the
+    margin the arm may stay where it is; it only may not get closer.
+    """
+    scaling, smallest = constants.scaling, parts.singular_values[-1]
+    outer, inner = len(near.acting), len(own.pairs)
+    intruded = False
+    for at in near.acting:
+        intruded = intruded or near.distance[at] < -_FOUND_INSIDE or near.rate[at] < 0.0
+    near_singular = smallest <= _SINGULARITY_NEAR * p.singularity_margin
+    # Who has to evade shall do so in the null space, at any speed, rather than leave the path.
+    sway = scaling * null_space.project(parts, previous / scaling)
+    fastest_sway = np.inf if intruded else _fastest_sway(arm, sway, constants)
+    soft = int(near_singular) + int(fastest_sway < np.inf)
+
+    count = outer + inner
+    gradient, pairs = np.empty((count + soft, len(previous))), np.empty((count, 2), np.intp)
+    drifts, reserves = np.zeros(count + soft), np.zeros(count + soft)
+    for i in range(outer):
+        at = near.acting[i]
+        gradient[i] = near.gradient[at]
+        drifts[i], reserves[i] = near.rate[at], near.clearance[at]
+        pairs[i, 0], pairs[i, 1] = near.links[at], near.obstacles[at]
+    for i in range(inner):
+        gradient[outer + i], reserves[outer + i] = own.gradient[i], own.distance[i]
+        pairs[outer + i] = constants.self_pairs[own.pairs[i]]
+    if near_singular:
+        gradient[count] = derivative_between(
+            parts.left[:, -1], arm.tip_jacobian, scaling * parts.right[-1], arm.tip_rotation,
+            constants.in_tool, constants.rows)
+        reserves[count] = max(smallest - p.singularity_margin, 0.0)
+    if fastest_sway < np.inf:
+        # h·q̇ / |h| may be that much at most, whatever the rate of the other barriers.
+        speed = math.sqrt(np.sum(sway * sway))
+        slower = 1.0 - dt / max(safety.stopping_time(previous, constants.acceleration_max), dt)
+        gradient[-1] = -sway / speed
+        drifts[-1] = max(fastest_sway, slower * np.sum(sway * previous) / speed)
+    return _Barriers(
+        gradient, drifts, reserves, soft, near_singular, intruded, pairs, outer)
+
+
+@compiled
 def _desired(
     arm: Fields[Kinematics], position: Vector, rotation: Matrix, command: Vector,
     maps: Fields[Whitening], constants: Fields[_Arm], settings: Fields[_Settings],
@@ -652,7 +743,7 @@ def _desired(
     """
     arm, maps, plain = Kinematics(*arm), Whitening(*maps), constants
     constants, p = _Arm(*constants), _Settings(*settings)
-    scaling, rows = constants.scaling, constants.rows
+    scaling = constants.scaling
 
     # ẋ: the command plus what brings the tip back to the reference pose (§ drift).
     task = _task(arm, Pose(position.copy(), rotation.copy()), command, previous, constants,
@@ -674,92 +765,35 @@ def _desired(
         constants.self_pairs, constants.self_moves, constants.self_levers, fastest, rate,
         known_at, known)
 
-    # ∇H, Eq. 18; an index of no weight costs nothing.
+    # k P∇H, Eqs. 1, 2 and 18.
     level, clearance = indices.clearance_index(
         near.clearance, near.distance, near.gradient, p.clearance_smoothing,
         p.influence_distance)
     if by_joints:
         level, clearance = joint_clearance_index, joint_clearance.copy()
-    smallest = parts.singular_values[-1]
-    homogeneous = np.zeros(len(previous))
-    factor = 1.0
     if has_path:
-        homogeneous += null_space.project(parts, path / scaling)
+        factor, projected = 1.0, null_space.project(parts, path / scaling)
     else:
-        joint_limit, shortest_path, manipulability = np.zeros((3, len(previous)))
-        if p.k_s > 0.0:
-            _, joint_limit = indices.joint_limit_index(
-                arm.q, constants.position_min, constants.position_max)
-        if p.k_f > 0.0:
-            _, shortest_path = indices.shortest_path_index(least_norm, derivative_between(
-                null_space.dual(parts, gains, twist), arm.tip_jacobian, scaling * least_norm,
-                arm.tip_rotation, constants.in_tool, rows))
-        nearness = smallest / max(p.singularity_margin, 1e-9) - 1.0
-        if p.k_m > 0.0 and nearness < 1.0:
-            changes = np.empty(parts.right.shape)
-            for i in range(len(changes)):
-                changes[i] = derivative_between(
-                    parts.left[:, i], arm.tip_jacobian, scaling * parts.right[i],
-                    arm.tip_rotation, constants.in_tool, rows)
-            _, manipulability = indices.manipulability_index(parts, changes)
-            manipulability = indices.fade(nearness) * manipulability
-        gradient = indices.total_gradient(
-            clearance, joint_limit, shortest_path, manipulability, p.k_w, p.k_s, p.k_f, p.k_m)
-        # k P∇H, Eqs. 1 and 2.
+        gradient = _total_gradient(arm, clearance, parts, gains, least_norm, twist, constants, p)
         projected = null_space.project(parts, gradient * scaling)
         factor = p.k_fixed if fixed_gain else null_space.dynamic_factor(
             p.k_alpha, least_norm, projected)
-        homogeneous += factor * projected
 
-    # The barriers: obstacles, own links, and J's smallest singular value σ. With σ's directions
-    # u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v. Closer than the margin the arm may stay where it is; it
-    # only may not get closer.
-    outer, inner = len(near.acting), len(own.pairs)
-    singular = 1 if smallest <= _SINGULARITY_NEAR * p.singularity_margin else 0
-    intruded = False
-    for at in near.acting:
-        intruded = intruded or near.distance[at] < -_FOUND_INSIDE or near.rate[at] < 0.0
-    # Who has to evade shall do so in the null space, at any speed, rather than leave the path.
-    sway = scaling * null_space.project(parts, previous / scaling)
-    fastest_sway = np.inf if intruded else _fastest_sway(arm, sway, constants)
-    swaying = 1 if fastest_sway < np.inf else 0
-    count = outer + inner
-    barriers = np.empty((count + singular + swaying, len(previous)))
-    drifts, reserves = np.zeros(len(barriers)), np.empty(len(barriers))
-    pairs = np.empty((count, 2), np.intp)
-    for i in range(outer):
-        at = near.acting[i]
-        barriers[i] = near.gradient[at]
-        drifts[i], reserves[i] = near.rate[at], near.clearance[at]
-        pairs[i, 0], pairs[i, 1] = near.links[at], near.obstacles[at]
-    barriers[outer:count] = own.gradient
-    reserves[outer:count] = own.distance
-    pairs[outer:] = constants.self_pairs[own.pairs]
-    if singular:
-        barriers[count] = derivative_between(
-            parts.left[:, -1], arm.tip_jacobian, scaling * parts.right[-1], arm.tip_rotation,
-            constants.in_tool, rows)
-        reserves[count] = max(smallest - p.singularity_margin, 0.0)
-    if swaying:
-        # h·q̇ / |h| may be that much at most, whatever the rate of the other barriers.
-        speed = math.sqrt(np.sum(sway * sway))
-        slower = 1.0 - dt / max(safety.stopping_time(previous, constants.acceleration_max), dt)
-        barriers[count + singular] = -sway / speed
-        drifts[count + singular] = max(fastest_sway, slower * np.sum(sway * previous) / speed)
-        reserves[count + singular] = 0.0
-
-    least_norm, homogeneous = scaling * least_norm, scaling * homogeneous
+    least_norm, homogeneous = scaling * least_norm, scaling * (factor * projected)
     dq = least_norm + homogeneous  # Eq. 1
+
+    barriers = _barriers(arm, parts, near, own, previous, constants, p, dt)
+    smallest = parts.singular_values[-1]
     admissible = smallest >= p.damping_threshold and safety.admissible(
         dq, arm.q, previous, constants.positions, constants.velocity_max,
-        constants.acceleration_max, constants.position_margin, barriers, drifts, reserves,
-        p.barrier_gain, dt)
+        constants.acceleration_max, constants.position_margin, barriers.gradient,
+        barriers.drift, barriers.reserve, p.barrier_gain, dt)
     return _Desired(
-        dq, least_norm, homogeneous, factor, level,
-        null_space.manipulability(parts), smallest, barriers, drifts, reserves,
-        singular + swaying, singular == 1, intruded, pairs, outer, near.nearest_link,
-        near.nearest_obstacle, near.nearest_clearance, near.nearest_distance, admissible,
-        task.wanted, task.back, task.turning, task.error, task.reference.position,
+        dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts),
+        barriers.gradient, barriers.drift, barriers.reserve, barriers.soft,
+        barriers.near_singular, barriers.intruded, barriers.pairs, barriers.outer,
+        near.nearest_link, near.nearest_obstacle, near.nearest_clearance, near.nearest_distance,
+        admissible, task.wanted, task.back, task.turning, task.error, task.reference.position,
         task.reference.rotation)
 
 
