@@ -166,6 +166,7 @@ def measure(
             operator.latencies.clear()
             children = {'planner': planner, 'fake hardware': hardware}
             before = {name: cpu_seconds(child.pid) for name, child in children.items()}
+            at_first = resident_kib(planner.pid)
             begin = time.monotonic()
             operator.drive(seconds)
             elapsed = time.monotonic() - begin
@@ -186,7 +187,8 @@ def measure(
         'period max ms': 1e3 * float(periods.max()),
         'latency median ms': 1e3 * float(np.median(latencies)),
         'latency p99 ms': 1e3 * float(np.percentile(latencies, 99)),
-        **load, 'planner memory MiB': memory / 1024.0}
+        **load, 'planner memory MiB': memory / 1024.0,
+        'its growth MiB': (memory - at_first) / 1024.0}
 
 
 def resident_kib(pid: int) -> float:

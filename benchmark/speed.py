@@ -15,6 +15,7 @@ import importlib.metadata
 import json
 from pathlib import Path
 import platform
+import resource
 import time
 from typing import Any
 
@@ -43,6 +44,7 @@ _STARTS = {'panda': np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]),
 _TWIST = np.array([0.05, 0.05, 0.0, 0.0, 0.0, 0.1])
 # The tip goes to and fro, gently enough for the acceleration limits; so many ticks a turn.
 _TURN = 500
+_HOUR = 3600 * 250
 # pink takes 0.4 ms per obstacle and tick, mink makes a model with a body for each.
 _MOST_OF_PINK, _MOST_OF_MINK = 100, 1000
 _EXTENTS = {'reach': ((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2)),
@@ -133,6 +135,18 @@ def sections(
     return {name: _median(part, ticks) for name, part in parts.items()}
 
 
+def hour_growth(robot: Robot, start: Array) -> float:
+    """Return what an hour's worth of ticks at 250 Hz adds to the most memory held [MiB]."""
+    planner = Planner(robot, PlannerParameters())
+    scene, q = Scene.of(obstacles_around(robot, start, 10, 'reach')), start
+    sizes = []
+    for i in track(range(_HOUR), description='an hour of ticks'):
+        if i in (_HOUR // 60, _HOUR - 1):
+            sizes.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+        q = q + _DT * planner.step(q, _twist_at(i), scene, _DT).dq
+    return (sizes[1] - sizes[0]) / 1024.0
+
+
 def _median(part: Any, ticks: int) -> float:
     times = np.empty(ticks)
     for i in range(ticks):
@@ -190,9 +204,15 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--counts', type=int, nargs='+', default=list(COUNTS), metavar='COUNT')
     parser.add_argument('--ticks', type=int, default=2000)
     parser.add_argument('--without-peers', action='store_true')
+    parser.add_argument('--hour', action='store_true',
+                        help="also what an hour's worth of ticks adds to the memory")
     parser.add_argument('--json', type=Path)
     options = parser.parse_args(args)
     result = measure(options.robot, options.counts, options.ticks, not options.without_peers)
+    growth = {}
+    if options.hour:
+        robot = make_robot(options.robot, 6 if options.robot == 'panda' else 3)
+        growth['hour_growth_mib'] = hour_growth(robot, _STARTS[options.robot])
     table = Table(title=f'{options.robot}: time per tick [us]')
     table.add_column('obstacles')
     keys = [key for key in result if key != 'sections_us' and result[key]]
@@ -205,9 +225,11 @@ def main(args: list[str] | None = None) -> int:
     console = Console(width=140)
     console.print(table)
     console.print(f'parts of a tick [us]: {result["sections_us"]}')
+    if growth:
+        console.print(f"an hour's worth of ticks adds {growth['hour_growth_mib']:.2f} MiB")
     if options.json is not None:
         options.json.write_text(json.dumps(
-            {'robot': options.robot, 'versions': versions(), **result}, indent=1))
+            {'robot': options.robot, 'versions': versions(), **result, **growth}, indent=1))
     return 0
 
 

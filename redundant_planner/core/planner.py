@@ -57,7 +57,7 @@ _FIRST_STEPS = 100
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
 _FOUND_INSIDE = 1e-3
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
-_STRAY, _STRAY_ANGLE = 5e-4, 5e-3
+_STRAY, _STRAY_ANGLE = 2.5e-4, 2.5e-3
 # Over how long the trend of a held command is averaged [s].
 _TREND = 0.1
 

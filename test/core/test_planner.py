@@ -10,7 +10,7 @@ import pytest
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.planner import _Arm, _fastest_sway, Planner
+from redundant_planner.core.planner import _Arm, _fastest_sway, _STRAY, _STRAY_ANGLE, Planner
 from redundant_planner.core.robot import AXES, Capsule
 from redundant_planner.core.safety import Stage, stopping_time
 
@@ -324,7 +324,7 @@ def test_a_speed_limit_of_zero_stops_the_arm(panda, limit):
 
 @pytest.mark.parametrize('make', [make_panda, make_paper_arm])
 def test_null_space_motion_at_its_bound_stops_next_to_the_path(make):
-    """Proportional braking from the bound, integrated, leads 0.5 mm aside, or 5 mrad."""
+    """Proportional braking from the bound, integrated, leads 0.25 mm aside, or 2.5 mrad."""
     robot = make()
     constants = _Arm(*Planner(robot, PlannerParameters())._arm)
     random, met = np.random.default_rng(0), 0
@@ -343,6 +343,6 @@ def test_null_space_motion_at_its_bound_stops_next_to_the_path(make):
         turned = np.arccos(np.clip(
             0.5 * (np.trace(rest.tip_rotation @ arm.tip_rotation.T) - 1.0), -1.0, 1.0))
         # Of second order; where that is little the third shows.
-        assert aside < 1.5 * 5e-4 and (robot.m < 6 or turned < 1.5 * 5e-3)
-        met += aside > 0.5 * 5e-4 or turned > 0.5 * 5e-3
+        assert aside < 1.5 * _STRAY and (robot.m < 6 or turned < 1.5 * _STRAY_ANGLE)
+        met += aside > 0.5 * _STRAY or turned > 0.5 * _STRAY_ANGLE
     assert met > 30
