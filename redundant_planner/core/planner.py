@@ -149,25 +149,19 @@ class _Task(NamedTuple):
     reference: Pose
 
 
-class _Desired(NamedTuple):
-    """What the method asks for, and what the safety filter needs to know.
+class _Barriers(NamedTuple):
+    """What must not be used up in a tick.
 
     Attributes:
-        dq: (n,) Eq. 1.
-        least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
-        gradient, drift, reserve, soft, near_singular, intruded, pairs, outer: see `_Barriers`.
-        nearest_link, nearest_obstacle, nearest_clearance, nearest_distance: see `NearPairs`.
-        admissible: whether `dq` breaks no limit and no barrier.
-        wanted, back, turning, error: see `_Task`.
-        position, rotation: of the reference pose there.
+        gradient, drift, reserve: see `safety.Barriers`.
+        soft: how many of the last are not urgent, see there: one that keeps away from a
+            singularity, and one on the speed of null-space motion.
+        near_singular: whether the former is among them.
+        intruded: whether an obstacle moves towards the arm, or the arm was found too close.
+        pairs: (a + k, 2) links and obstacles, then links and links, that the others are about.
+        outer: a, how many of these are about obstacles.
     """
 
-    dq: Vector
-    least_norm: Vector
-    homogeneous: Vector
-    factor: float
-    clearance_index: float
-    manipulability: float
     gradient: Matrix
     drift: Vector
     reserve: Vector
@@ -176,17 +170,32 @@ class _Desired(NamedTuple):
     intruded: bool
     pairs: IndexPairs
     outer: int
+
+
+class _Desired(NamedTuple):
+    """What the method asks for, and what the safety filter needs to know.
+
+    Attributes:
+        dq: (n,) Eq. 1.
+        least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
+        barriers, task: see there.
+        nearest_link, nearest_obstacle, nearest_clearance, nearest_distance: see `NearPairs`.
+        admissible: whether `dq` breaks no limit and no barrier.
+    """
+
+    dq: Vector
+    least_norm: Vector
+    homogeneous: Vector
+    factor: float
+    clearance_index: float
+    manipulability: float
+    barriers: _Barriers
+    task: _Task
     nearest_link: int
     nearest_obstacle: int
     nearest_clearance: float
     nearest_distance: float
     admissible: bool
-    wanted: Vector
-    back: Vector
-    turning: Vector
-    error: Vector
-    position: Vector
-    rotation: Matrix
 
 
 class StepResult(NamedTuple):
@@ -355,28 +364,28 @@ class Planner:
             by_joints is not None, *(by_joints or (0.0, self._previous)), dt)
 
         dq, scale, stage, reason = desired.dq, 1.0, safety.Stage.DESIRED, ''
-        followed = desired.wanted
+        task = desired.task
+        followed = task.wanted
         if not p.safety_filter:
-            followed = arm.jacobian @ dq + desired.turning - desired.back
+            followed = arm.jacobian @ dq + task.turning - task.back
         elif not desired.admissible:
             result = self._filtered(desired, arm, dt)
             dq, scale, stage = result.dq, result.scale, result.stage
             reason = self._reason(result, commanded, desired, names, dt)
             # What was followed of the path; neither the way back to it nor what was yielded.
-            followed = scale * desired.wanted + result.coast * self._path_velocity
+            followed = scale * task.wanted + result.coast * self._path_velocity
 
         if fallback:
             reason = '; '.join(filter(None, (
                 'no joint path ahead was found: dynamic_factor steps in', reason)))
         self._reference = drift.integrate(
-            Pose(desired.position, desired.rotation), robot.full_twist(followed), dt,
-            robot.in_tool)
+            task.reference, robot.full_twist(followed), dt, robot.in_tool)
         self._path_velocity = followed
         self._previous = dq
         return StepResult(
             dq.copy(), desired.least_norm, desired.homogeneous, desired.factor, scale, stage,
             reason, desired.clearance_index, self._nearest(desired, names),
-            desired.manipulability, pose, desired.error)
+            desired.manipulability, pose, task.error)
 
     def _checked_command(self, twist: Array, dt: float) -> tuple[Array, bool]:
         """Return the controlled part of the twist, no faster than the speed limits.
@@ -468,15 +477,14 @@ class Planner:
         self, desired: _Desired, arm: Kinematics, dt: float,
     ) -> safety.Filtered:
         """Return what comes nearest to a desired velocity that breaks a limit or a barrier."""
-        p = self._parameters
+        p, task, found = self._parameters, desired.task, desired.barriers
         return safety.safe_velocity(
-            desired.dq, False, arm.jacobian,
-            desired.wanted + desired.back, arm.q, self._previous, self._limits,
-            safety.Barriers(
-                desired.gradient, desired.drift, desired.reserve, desired.soft),
+            desired.dq, False, arm.jacobian, task.wanted + task.back, arm.q, self._previous,
+            self._limits,
+            safety.Barriers(found.gradient, found.drift, found.reserve, found.soft),
             weights=self._weights, gain=p.barrier_gain,
-            may_yield=desired.intruded and p.path_priority == 'yield', dt=dt,
-            feedback=desired.back, turning=desired.turning)
+            may_yield=found.intruded and p.path_priority == 'yield', dt=dt, feedback=task.back,
+            turning=task.turning)
 
     def _reason(
         self, result: safety.Filtered, commanded: bool, desired: _Desired,
@@ -499,13 +507,13 @@ class Planner:
         self, barrier: int, desired: _Desired, obstacles: tuple[str, ...],
     ) -> str:
         """Name a barrier as a sentence's part."""
-        if barrier == len(desired.pairs) and desired.near_singular:
+        found, capsules = desired.barriers, self.robot.capsules
+        if barrier == len(found.pairs) and found.near_singular:
             return 'near a singularity'
-        if barrier >= len(desired.pairs):
+        if barrier >= len(found.pairs):
             return 'null-space motion that could not stop without leaving the path'
-        link, other = desired.pairs[barrier].tolist()
-        capsules = self.robot.capsules
-        if barrier < desired.outer:
+        link, other = found.pairs[barrier].tolist()
+        if barrier < found.outer:
             return f"link '{capsules[link].name}' near obstacle '{obstacles[other]}'"
         return f"link '{capsules[link].name}' near link '{capsules[other].name}'"
 
@@ -648,29 +656,6 @@ def _total_gradient(
         clearance, joint_limit, shortest_path, manipulability, p.k_w, p.k_s, p.k_f, p.k_m)
 
 
-class _Barriers(NamedTuple):
-    """What must not be used up in a tick.
-
-    Attributes:
-        gradient, drift, reserve: see `safety.Barriers`.
-        soft: how many of the last are not urgent, see there: one that keeps away from a
-            singularity, and one on the speed of null-space motion.
-        near_singular: whether the former is among them.
-        intruded: whether an obstacle moves towards the arm, or the arm was found too close.
-        pairs: (a + k, 2) links and obstacles, then links and links, that the others are about.
-        outer: a, how many of these are about obstacles.
-    """
-
-    gradient: Matrix
-    drift: Vector
-    reserve: Vector
-    soft: int
-    near_singular: bool
-    intruded: bool
-    pairs: IndexPairs
-    outer: int
-
-
 @compiled
 def _barriers(
     arm: Kinematics, parts: Decomposition, near: NearPairs, own: NearLinks, previous: Vector,
@@ -789,12 +774,9 @@ def _desired(
         constants.acceleration_max, constants.position_margin, barriers.gradient,
         barriers.drift, barriers.reserve, p.barrier_gain, dt)
     return _Desired(
-        dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts),
-        barriers.gradient, barriers.drift, barriers.reserve, barriers.soft,
-        barriers.near_singular, barriers.intruded, barriers.pairs, barriers.outer,
-        near.nearest_link, near.nearest_obstacle, near.nearest_clearance, near.nearest_distance,
-        admissible, task.wanted, task.back, task.turning, task.error, task.reference.position,
-        task.reference.rotation)
+        dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts), barriers,
+        task, near.nearest_link, near.nearest_obstacle, near.nearest_clearance,
+        near.nearest_distance, admissible)
 
 
 @compiled
