@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 PIP_INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check
+# So that no node has to, the first time it starts.
+COMPILE = $(VENV)/bin/python -c 'import redundant_planner.core.planner'
 
 .PHONY: demo test lint clean
 
@@ -22,10 +24,12 @@ $(VENV)/bin/python:
 
 $(VENV)/.demo-ready: setup.py setup.cfg | $(VENV)/bin/python
 	$(PIP_INSTALL) --editable '.[jazzy,analysis]'
+	$(COMPILE)
 	touch $@
 
 $(VENV)/.test-ready: setup.py setup.cfg | $(VENV)/bin/python
 	$(PIP_INSTALL) --editable '.[jazzy,analysis,test]'
+	$(COMPILE)
 	touch $@ $(VENV)/.demo-ready
 
 clean:

@@ -138,6 +138,6 @@ class CommandInput:
 
 
 def sender_names(publishers: list[Any]) -> list[str]:
-    """Return the full node names of publishers as the ROS graph knows them."""
-    return ['a node whose name is not known yet' if 'UNKNOWN' in p.node_name
-            else f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in publishers]
+    """Return the full node names of publishers as the ROS graph knows them, by the alphabet."""
+    return sorted('a node whose name is not known yet' if 'UNKNOWN' in p.node_name
+                  else f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in publishers)

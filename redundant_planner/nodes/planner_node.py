@@ -65,6 +65,8 @@ _ACKNOWLEDGED = 0.3
 # How often the node looks for rivals on its topics, and for how long before it first moves [s].
 _LOOK_AROUND = 0.5
 _FIRST_LOOK = 1.0
+# An arm that moves further than that while the node looks around is somebody else's [rad, m].
+_MOVED = 5e-3
 # A tick that comes this much after the one before it must not go on where that left off [s].
 _GAP = 1.0
 
@@ -110,6 +112,7 @@ class PlannerNode(process.EndableNode):
         self._restart = ''
         self._paused = False
         self._ready = np.inf
+        self._found: Array = np.empty(0)  # where the arm was while nobody moved it
         self._last_tick = -np.inf
         self._rivals: dict[str, list[str]] = {}
         self._raw_obstacles: list[bytes] = []
@@ -275,7 +278,10 @@ class PlannerNode(process.EndableNode):
         now = self._now()
         if self._q is None:
             # Others are found at about the same time as the arm.
-            self._ready = now + _FIRST_LOOK
+            self._ready, self._found = now + _FIRST_LOOK, q
+        elif now < self._ready and np.abs(q - self._found).max() > _MOVED:
+            # Somebody else moves it, whom the middleware has perhaps not shown to us yet.
+            self._ready, self._found = now + _FIRST_LOOK, q
         elif has_jumped(
                 self._q, q, self.robot.velocity_max, now - self._q_time,
                 self._settings.position_tolerance):

@@ -235,10 +235,13 @@ def test_two_senders_of_commands_are_refused_by_name_and_not_mixed(bench):
 def test_a_second_planner_on_the_same_arm_stops_both(bench):
     bench.move()
     second = bench.processes.start('planner_node', FILE, remap={'__node': 'rival'})
-    bench.until_rest(bench.forward)
-    assert_smooth(bench.ros.commands, 'a second planner')
-    bench.says('joint_command has 2 publishers: /planner_node, /rival', DiagnosticStatus.ERROR)
-    second.terminate()
+    try:
+        bench.until_rest(bench.forward)
+        assert_smooth(bench.ros.commands, 'a second planner')
+        bench.says('joint_command has 2 publishers: /planner_node, /rival',
+                   DiagnosticStatus.ERROR)
+    finally:
+        second.terminate()
     bench.ros.commands.clear()
     bench.until_motion()
 
