@@ -111,7 +111,7 @@ def sections(
     """Return where a tick's time goes, each part by itself, called from Python [us]."""
     maps = whitening(Scene.of(obstacles), [c.radius for c in robot.capsules])
     arm, p = robot.kinematics(start), PlannerParameters()
-    speeds = robot.levers @ robot.velocity_max
+    speeds = robot.levers @ robot.acceleration_max * _DT  # of the first tick from rest
     near = near_pairs(
         maps, arm.segment_start, arm.segment_end, arm.columns, robot.moves, speeds,
         p.barrier_gain, p.influence_distance)

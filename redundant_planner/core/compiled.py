@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+import functools
 import os
 from pathlib import Path
 import shutil
@@ -117,31 +118,25 @@ def _keeping() -> Iterator[bool]:
         numba.config.CACHE_DIR = before
 
 
+@functools.cache
 def _folder() -> Path | None:
-    global _found
-    if _found is None:
-        here = Path(__file__).parent
-        sources = b''.join(path.read_bytes() for path in sorted(here.glob('*.py')))
-        name = f'compiled-{zlib.crc32(sources):08x}'
-        parents = [here / '__pycache__', Path(os.environ.get(
-            'XDG_CACHE_HOME') or os.path.expanduser('~/.cache')) / 'redundant_planner']
-        if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, somebody's wish
-            parents.insert(0, Path(numba.config.CACHE_DIR))
-        for parent in parents:
-            try:
-                (parent / name).mkdir(parents=True, exist_ok=True)
-            except OSError:
-                continue
-            if os.access(parent / name, os.W_OK):
-                # Nobody else keeps anything here: what is left is of other versions.
-                for other in (here / '__pycache__').glob('compiled-*'):
-                    if other.name != name:
-                        shutil.rmtree(other, ignore_errors=True)
-                _found = (parent / name,)
-                break
-        else:
-            _found = (None,)
-    return _found[0]
-
-
-_found: tuple[Path | None] | None = None
+    here = Path(__file__).parent
+    sources = b''.join(path.read_bytes() for path in sorted(here.glob('*.py')))
+    name = f'compiled-{zlib.crc32(sources):08x}'
+    beside = here / '__pycache__'
+    caches = Path(os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache'))
+    parents = [beside, caches / 'redundant_planner']
+    if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, somebody's wish
+        parents.insert(0, Path(numba.config.CACHE_DIR))
+    # Nobody else keeps anything here: what is left is of other versions.
+    for other in beside.glob('compiled-*'):
+        if other.name != name:
+            shutil.rmtree(other, ignore_errors=True)
+    for parent in parents:
+        try:
+            (parent / name).mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(parent / name, os.W_OK):
+            return parent / name
+    return None

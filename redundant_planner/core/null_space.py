@@ -69,8 +69,8 @@ def decompose(jacobian: Matrix) -> Decomposition:
     """Decompose an (m, n) Jacobian, m ≤ n, by one-sided Jacobi rotations (Hestenes 1958).
 
     Rows of J are turned into each other, Uᵀ J, until they are orthogonal: then they are Σ Vᵀ.
-    On so few numbers that takes a third of LAPACK's time, and gives small singular values more
-    exactly (Demmel and Veselić 1992).
+    On so few numbers that takes less than half of LAPACK's time, and gives small singular values
+    more exactly (Demmel and Veselić 1992).
     """
     m, n = jacobian.shape
     rows, left = jacobian.copy(), np.eye(m)

@@ -33,6 +33,7 @@ from redundant_planner.core.compiled import (
     Vector,
 )
 from redundant_planner.core.errors import ObstacleError
+from redundant_planner.core.jacobian import joint_shares
 
 Array = npt.NDArray[np.float64]
 Number = TypeVar('Number', float, Array)
@@ -381,14 +382,7 @@ def _clearance_gradient(
         for row in range(3):
             slope[axis] += rotation[axis, row] * y[row] * inverse[row] / size
         rate -= slope[axis] * velocity[axis]
-    x1, x2, x3 = point
-    f1, f2, f3 = slope
-    for j in range(len(gradient)):
-        gradient[j] = 0.0
-        if moves[j] != 0.0:
-            v1, v2, v3, w1, w2, w3 = columns[:, j]
-            gradient[j] = (f1 * v1 + f2 * v2 + f3 * v3 + (x2 * f3 - x3 * f2) * w1
-                           + (x3 * f1 - x1 * f3) * w2 + (x1 * f2 - x2 * f1) * w3)
+    joint_shares(columns, point, slope, moves, gradient)
     return rate
 
 

@@ -18,6 +18,7 @@ from redundant_planner.core.compiled import (
     Stack,
     Vector,
 )
+from redundant_planner.core.jacobian import joint_shares
 
 Array = npt.NDArray[np.float64]
 
@@ -85,7 +86,10 @@ def _link_distances(
         distance[pair] = math.sqrt(squared) - radii[one] - radii[other]
 
 
-def distance_gradients(pairs: LinkPairs, chosen: Indices, columns: Array, moves: Array) -> Array:
+@compiled
+def distance_gradients(
+    points: Stack, chosen: Indices, columns: Matrix, moves: Matrix,
+) -> Array:
     """Return ∂distance/∂q of the chosen pairs, (k, n).
 
     Along the line between the nearest points, n = gap/|gap|: the first link's point moves by
@@ -93,33 +97,18 @@ def distance_gradients(pairs: LinkPairs, chosen: Indices, columns: Array, moves:
     the same wrench that acts on either link.
 
     Args:
-        pairs: from `link_distances`.
+        points: of the pairs, from `link_distances` [m].
         chosen: (k,) indices into the pairs.
         columns: (6, n) joint screws at the base origin.
         moves: (p, n) for every pair, 1 where a joint moves its first link alone, −1 where it
             moves the second alone, else 0.
     """
-    return _distance_gradients(pairs.points, chosen, columns, moves)
-
-
-@compiled
-def _distance_gradients(
-    points: Stack, chosen: Indices, columns: Matrix, moves: Matrix,
-) -> Array:
-    n = columns.shape[1]
-    gradient = np.zeros((len(chosen), n))
+    gradient = np.empty((len(chosen), columns.shape[1]))
     for row in range(len(chosen)):
         pair = chosen[row]
         gap = points[pair, 0] - points[pair, 1]
         size = max(math.sqrt(gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2]), 1e-9)
-        x1, x2, x3 = points[pair, 0]
-        f1, f2, f3 = gap / size
-        for j in range(n):
-            if moves[pair, j] != 0.0:
-                v1, v2, v3, w1, w2, w3 = columns[:, j]
-                gradient[row, j] = moves[pair, j] * (
-                    f1 * v1 + f2 * v2 + f3 * v3 + (x2 * f3 - x3 * f2) * w1
-                    + (x3 * f1 - x1 * f3) * w2 + (x1 * f2 - x2 * f1) * w3)
+        joint_shares(columns, points[pair, 0], gap / size, moves[pair], gradient[row])
     return gradient
 
 
@@ -190,4 +179,4 @@ def near_links(
     for i in range(found):
         distance[i] = max(known[near[i]], 0.0)
     pairs = near[:found]
-    return NearLinks(pairs, distance, _distance_gradients(points, pairs, columns, moves))
+    return NearLinks(pairs, distance, distance_gradients(points, pairs, columns, moves))

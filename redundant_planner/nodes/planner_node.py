@@ -122,8 +122,8 @@ class PlannerNode(process.EndableNode):
         self._said: dict[str, float] = {}
         self._period = 1.0 / self._settings.rate
 
-        self._foreign: Subscription | None = None
-        self._locking: Subscription | None = None
+        # What is listened to only until the first command.
+        self._at_first: list[Subscription] = []
         urdf = urdf_text(self._robot_parameters)
         if urdf:
             self._begin(urdf, static)
@@ -135,7 +135,7 @@ class PlannerNode(process.EndableNode):
             self.get_logger().info('waiting for a URDF on the topic robot_description')
 
     def _on_robot_description(self, message: String, static: list[Any]) -> None:
-        if self._planner is not None or self._locking is not None:
+        if self._planner is not None or self._at_first:
             return
         try:
             self._begin(message.data, static)
@@ -167,8 +167,8 @@ class PlannerNode(process.EndableNode):
             except PlannerError as error:
                 self.get_logger().error(str(error))
 
-        self._locking = self.create_subscription(
-            JointState, 'joint_states', look, qos_profile_sensor_data)
+        self._at_first.append(self.create_subscription(
+            JointState, 'joint_states', look, qos_profile_sensor_data))
 
     def _start(self, urdf: str, static: list[Any]) -> None:
         robot = build_robot(
@@ -196,9 +196,9 @@ class PlannerNode(process.EndableNode):
         self._ticks = (self.create_publisher(Float64MultiArray, '~/ticks', history)
                        if self._settings.publish_ticks else None)
         # Before it speaks itself, whatever it hears on its own topic is somebody else's.
-        self._foreign = self.create_subscription(
+        self._at_first.append(self.create_subscription(
             JointState, 'joint_command', self._on_foreign_command, qos_profile_sensor_data,
-            raw=True)
+            raw=True))
         self._report_state()
         on_change(self, lambda: (self._planner_parameters, self._settings), self._apply,
                   'static_obstacle')
@@ -289,7 +289,7 @@ class PlannerNode(process.EndableNode):
         self._q, self._q_time = q, now
 
     def _on_foreign_command(self, message: bytes) -> None:
-        if self._foreign is not None:
+        if self._at_first:
             self._ready = self._now() + _FIRST_LOOK
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -326,9 +326,8 @@ class PlannerNode(process.EndableNode):
             self._state.fault = False
             return 'waiting for joint_states' if self._q is None else (
                 'looking whether somebody else commands this arm')
-        for done in filter(None, (self._foreign, self._locking)):
-            self.destroy_subscription(done)
-        self._foreign = self._locking = None
+        while self._at_first:
+            self.destroy_subscription(self._at_first.pop())
         timeout = self._settings.joint_state_timeout
         if now - self._q_time > timeout:
             self._warn(f'no usable joint_states for {timeout:g} s: stopped')

@@ -54,7 +54,7 @@ def test_gradients_match_finite_differences(robot):
         # At a joint that two links share they have no distance to differentiate.
         chosen = np.flatnonzero(
             np.linalg.norm(pairs.points[:, 0] - pairs.points[:, 1], axis=1) > 1e-3)
-        gradient = distance_gradients(pairs, chosen, robot.kinematics(q).columns, moves)
+        gradient = distance_gradients(pairs.points, chosen, robot.kinematics(q).columns, moves)
         expected = central_difference(lambda p: at(p).distance, q)[chosen]
         np.testing.assert_allclose(gradient, expected, atol=1e-5)
 
