@@ -1,4 +1,10 @@
-"""Seeded hard motions: a twist that an arm can follow, with obstacles in the way of its links."""
+"""Seeded hard motions: a twist that an arm can follow, with obstacles in the way of its links.
+
+Whether all of a random scene's obstacles can be passed at once is hard to tell. Here a way comes
+first: postures that follow the whole twist well inside every limit, bent aside from the
+least-norm motion. The obstacles then lie where the latter sweeps, but clear of the former. What
+a method does not complete is then its own doing.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +14,31 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core import null_space
-from redundant_planner.core.drift import integrate, Pose
+from redundant_planner.core.drift import integrate, Pose, pose_error
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.robot import Robot
+from redundant_planner.core.self_collision import link_distances
 
 Array = npt.NDArray[np.float64]
 
 DURATION = 4.0
 # Samples along the least-norm motion at which obstacles are placed and checked.
 _SAMPLES = 81
+# Of the tip's path, between two of these.
+_STEPS = 10
 # Clearance at the start, and around what the command alone determines [m].
 _START_CLEARANCE = 0.04
 _TIP_CLEARANCE = 0.03
-_HIT_SHARE = 0.85
+# Distance from what would cut a motion off: joint limits [rad, m], and the singular value.
+_LIMIT_DISTANCE = 0.05
+_LEAST_SINGULAR_VALUE = 0.08
+# What the way known to be free keeps from obstacles and between links [m], and the shares of the
+# velocity and acceleration limits that it takes. It bends aside by that much [rad].
+_WAY_CLEARANCE = 0.015
+_WAY_SPEED, _WAY_ACCELERATION = 0.8, 0.7
+_WAY_ASIDE = (0.4, 1.5)
+_HIT_SHARE = 0.9
+_HIT_DEPTH = 0.02
 _FASTEST_OBSTACLE = 0.3
 _SIZE = (0.04, 0.10)
 _MOVING_SIZE = (0.04, 0.08)
@@ -35,12 +53,15 @@ class Task:
         start: (n,) posture [rad, m].
         twist: (6,) peak twist; the commanded twist is its multiple sin²(πt/4 s), or zero.
         obstacles: at time 0, with their velocities.
+        way: (k, n) postures, evenly over the time, of a motion that keeps clear of obstacles that
+            stand still; None where none is known.
     """
 
     seed: int
     start: Array
     twist: Array
     obstacles: tuple[Obstacle, ...]
+    way: Array | None = None
 
     def twist_at(self, time: float | Array) -> Array:
         """Return the commanded twist (6,), or (k, 6) at k times."""
@@ -54,9 +75,19 @@ class Task:
             for o in self.obstacles)
 
 
-def generate(robot: Robot, seed: int, *, moving: bool = False) -> Task:
-    """Return the task of a seed: deterministic, and hard for whoever looks only at the tip."""
+def generate(
+    robot: Robot, seed: int, *, moving: bool = False, impossible_too: bool = False,
+) -> Task:
+    """Return the task of a seed: deterministic, and hard for whoever looks only at the tip.
+
+    Args:
+        robot: the arm.
+        seed: of the task.
+        moving: whether obstacles move through the arm.
+        impossible_too: whether no way needs to be known; so it is if they move.
+    """
     random = np.random.default_rng([seed, moving])
+    must_hit = random.uniform() < _HIT_SHARE
     while True:
         start = _random_start(robot, random)
         # A third of the moving tasks hold the arm still: what comes at it then must be evaded.
@@ -65,10 +96,15 @@ def generate(robot: Robot, seed: int, *, moving: bool = False) -> Task:
         path = _least_norm_path(robot, start, twist)
         if path is None:
             continue
-        place = _moving_obstacles if moving else _static_obstacles
-        obstacles = place(robot, path, random)
+        if moving:
+            obstacles, way = _moving_obstacles(robot, path, random), None
+        else:
+            way = None if impossible_too else _way(robot, Task(seed, start, twist, ()), random)
+            if way is None and not impossible_too:
+                continue
+            obstacles = _static_obstacles(robot, path, way, must_hit, random)
         if obstacles is not None:
-            return Task(seed, start, twist, obstacles)
+            return Task(seed, start, twist, obstacles, way)
 
 
 def _random_start(robot: Robot, random: np.random.Generator) -> Array:
@@ -94,7 +130,7 @@ def _least_norm_path(robot: Robot, start: Array, twist: Array) -> Array | None:
     q, path = start, [start]
     for i in range(_SAMPLES - 1):
         parts = null_space.decompose(robot.kinematics(q).jacobian)
-        if parts.singular_values[-1] < 0.08:
+        if parts.singular_values[-1] < _LEAST_SINGULAR_VALUE:
             return None
         share = np.sin(np.pi * (i + 0.5) / (_SAMPLES - 1)) ** 2
         dq = null_space.least_norm(
@@ -102,8 +138,52 @@ def _least_norm_path(robot: Robot, start: Array, twist: Array) -> Array | None:
         q = q + dt * dq
         path.append(q)
     postures = np.array(path)
-    inside = (postures > robot.position_min + 0.05) & (postures < robot.position_max - 0.05)
-    return postures if inside.all() else None
+    return postures if _inside(robot, postures) else None
+
+
+def _inside(robot: Robot, postures: Array) -> bool:
+    return bool(((postures > robot.position_min + _LIMIT_DISTANCE)
+                 & (postures < robot.position_max - _LIMIT_DISTANCE)).all())
+
+
+def _way(robot: Robot, task: Task, random: np.random.Generator) -> Array | None:
+    """Return the postures (k, n) of a motion bent aside, None where something cuts it off."""
+    dt = DURATION / (_SAMPLES - 1)
+    poses = path_poses(robot, task, dt / _STEPS)[::_STEPS]
+    aside = random.normal(size=robot.n)
+    distance, duration = random.uniform(*_WAY_ASIDE), random.uniform(0.4, 1.0) * DURATION
+    q, way = task.start, [task.start]
+    for i, pose in enumerate(poses[1:]):
+        parts = null_space.decompose(robot.kinematics(q).jacobian)
+        aside = null_space.project(parts, aside)
+        aside /= np.linalg.norm(aside)
+        share = np.sin(np.pi * min((i + 0.5) * dt / duration, 1.0)) ** 2
+        q = q + 2.0 * distance / duration * share * dt * aside
+        for _ in range(3):
+            arm = robot.kinematics(q)
+            parts = null_space.decompose(arm.jacobian)
+            if parts.singular_values[-1] < _LEAST_SINGULAR_VALUE:
+                return None
+            error = pose_error(pose, Pose(arm.tip_position, arm.tip_rotation), robot.in_tool)
+            q = q + null_space.least_norm(
+                parts, 1.0 / parts.singular_values, robot.task_rows(error))
+        way.append(q)
+    postures = np.array(way)
+    at_rest = np.zeros((1, robot.n))
+    speeds = np.diff(postures, axis=0) / dt
+    accelerations = np.diff(np.vstack((at_rest, speeds, at_rest)), axis=0) / dt
+    possible = (_inside(robot, postures)
+                and (np.abs(speeds) < _WAY_SPEED * robot.velocity_max).all()
+                and (np.abs(accelerations) < _WAY_ACCELERATION * robot.acceleration_max).all()
+                and _self_clearance(robot, postures) > _WAY_CLEARANCE)
+    return postures if possible else None
+
+
+def _self_clearance(robot: Robot, postures: Array) -> float:
+    """Return the smallest distance between links that can run into each other [m]."""
+    radii = np.array([capsule.radius for capsule in robot.capsules])
+    return min((float(link_distances(start, end, radii, robot.self_pairs).distance.min(
+        initial=np.inf)) for start, end in zip(*_segments(robot, postures))))
 
 
 def _segments(robot: Robot, postures: Array) -> tuple[Array, Array]:
@@ -132,15 +212,18 @@ def _random_ellipsoid(
 
 
 def _static_obstacles(
-    robot: Robot, path: Array, random: np.random.Generator,
+    robot: Robot, path: Array, way: Array | None, must_hit: bool, random: np.random.Generator,
 ) -> tuple[Obstacle, ...] | None:
-    """Place 1 to 3 ellipsoids on the links' swept volume, clear of the start and of the tip."""
+    """Place 1 to 3 ellipsoids on the links' swept volume, clear of the start and of the tip.
+
+    And of the way, if there is one.
+    """
     ends = _segments(robot, path)
+    way_ends = None if way is None else _segments(robot, way)
     # What the last two joints carry goes where the tip's pose takes it.
     tip = robot.moves[:, robot.n - 2] > 0.0
     links = np.flatnonzero(~tip)
     wanted = int(random.integers(1, 4))
-    must_hit = random.uniform() < _HIT_SHARE
     found: list[Obstacle] = []
     hits = False
     for _ in range(60):
@@ -157,9 +240,11 @@ def _static_obstacles(
         clear_start = _clearances(robot, obstacle, (ends[0][:1], ends[1][:1]),
                                   _START_CLEARANCE).min() > 0.0
         around_tip = _clearances(robot, obstacle, ends, _TIP_CLEARANCE)[:, tip]
-        if clear_start and (not tip.any() or around_tip.min() > 0.0):
+        clear_way = way_ends is None or _clearances(
+            robot, obstacle, way_ends, _WAY_CLEARANCE).min() > 0.0
+        if clear_start and clear_way and (not tip.any() or around_tip.min() > 0.0):
             found.append(obstacle)
-            hits |= bool(_clearances(robot, obstacle, ends, 0.0).min() < 0.0)
+            hits |= bool(_clearances(robot, obstacle, ends, -_HIT_DEPTH).min() < 0.0)
     return tuple(found) if found and (hits or not must_hit) else None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from rich.progress import track
 
 from benchmark import scenarios
-from benchmark.generator import generate, path_poses
+from benchmark.generator import path_poses
 from benchmark.scenarios import DT, Outcome, parser_of, prepare, print_table
 from redundant_planner.core.parameters import PlannerParameters
 
@@ -23,9 +23,10 @@ def _run(seed: int) -> tuple[dict[str, Outcome], float | None]:
     bench = scenarios.bench
     outcomes = bench(seed)
     completed = [o.postures for o in outcomes.values() if o.tracked]
-    robot, task = bench.robot, generate(bench.robot, seed)
+    robot, task = bench.robot, bench.task(seed)
     best = Optimum(robot, task.start, path_poses(robot, task, DT), DT, task.obstacles,
-                   PlannerParameters().clearance_margin).best(completed)
+                   PlannerParameters().clearance_margin).best(
+                       completed if task.way is None else [*completed, task.way])
     return outcomes, None if best is None else best[0]
 
 
@@ -49,7 +50,8 @@ def main() -> None:
     options = parser_of(__doc__).parse_args()
     names = list(METHODS)
     seeds = range(options.seed, options.seed + options.count)
-    with Pool(options.jobs, prepare, (options.robot, options.axes, names, False)) as pool:
+    with Pool(options.jobs, prepare, (
+            options.robot, options.axes, names, False, options.impossible_too)) as pool:
         found = list(track(pool.imap(_run, seeds), 'scenarios', total=options.count))
     result = {name: summarise(found, name) for name in names}
     # The name that others look for: nobody runs the least-norm motion without a filter.

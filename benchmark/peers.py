@@ -1,8 +1,9 @@
 """What users would pick instead, on the very same arm: mink and pink, driven tick by tick.
 
-Both get the joint limits of position and velocity, this package's capsules and obstacles, and
-the pose where the tip should be after the tick. Neither limits accelerations; that is in their
-favour. They come with `pip install mink pin-pink` (see CONTRIBUTING.md), for benchmarks only.
+Both get the joint limits of position and velocity, this package's capsules and obstacles, the
+same pairs of links that shall not meet, and the pose where the tip should be after the tick.
+Neither limits accelerations; that is in their favour. They come with `pip install mink pin-pink`
+(see CONTRIBUTING.md), for benchmarks only.
 """
 
 from __future__ import annotations
@@ -57,8 +58,10 @@ def versions() -> dict[str, str]:
 class Mink:
     """mink with its frame task, its limits and its collision avoidance."""
 
-    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle], margin: float) -> None:
-        """Build the MuJoCo model; `margin` is kept between links and obstacles [m]."""
+    def __init__(
+        self, robot: Robot, obstacles: Sequence[Obstacle], margin: float, self_margin: float,
+    ) -> None:
+        """Build the MuJoCo model; margins to obstacles and between links in [m]."""
         self._model = mujoco.MjModel.from_xml_string(mjcf(robot, obstacles))
         self._configuration = mink.Configuration(self._model)
         position, rotation = _costs(robot)
@@ -69,11 +72,13 @@ class Mink:
             mink.VelocityLimit(self._model, dict(zip(
                 robot.joint_names, robot.velocity_max.tolist()))),
         ]
-        if obstacles:
-            self._limits.append(mink.CollisionAvoidanceLimit(
-                self._model, [(links, [f'obstacle{i}' for i in range(len(obstacles))])],
-                minimum_distance_from_collisions=margin,
-                collision_detection_distance=_DETECTION))
+        others = [f'obstacle{i}' for i in range(len(obstacles))]
+        own = [([links[i]], [links[j]]) for i, j in robot.self_pairs]
+        for pairs, distance in (([(links, others)], margin), (own, self_margin)):
+            if all(first and second for first, second in pairs):
+                self._limits.append(mink.CollisionAvoidanceLimit(
+                    self._model, pairs, minimum_distance_from_collisions=distance,
+                    collision_detection_distance=_DETECTION))
 
     def step(self, q: Array, target: Pose, dt: float) -> Array:
         """See `Peer`."""
@@ -96,8 +101,13 @@ class Mink:
 class Pink:
     """pink with its frame task, its limits and its collision barrier."""
 
-    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle], margin: float) -> None:
-        """Add the capsules and obstacles to Pinocchio's geometry model; margin in [m]."""
+    def __init__(
+        self, robot: Robot, obstacles: Sequence[Obstacle], margin: float, self_margin: float,
+    ) -> None:
+        """Add the capsules and obstacles to Pinocchio's geometry model; margins as for `Mink`.
+
+        pink's barrier knows one margin for all pairs: that to obstacles.
+        """
         self._robot, self._model = robot, robot.model.copy()
         self._model.velocityLimit = robot.velocity_max
         geometry = pin.GeometryModel()
@@ -122,7 +132,7 @@ class Pink:
         self._task = pink.FrameTask(robot.tip_frame, position, rotation)
         self._barriers = [SelfCollisionBarrier(
             len(geometry.collisionPairs), gain=_PINK_GAIN, safe_displacement_gain=0.0,
-            d_min=margin)] if obstacles else []
+            d_min=margin)] if len(geometry.collisionPairs) else []
         self._limits = [ConfigurationLimit(self._model, 1.0), VelocityLimit(self._model)]
 
     def step(self, q: Array, target: Pose, dt: float) -> Array:

@@ -101,8 +101,9 @@ def run_planner(
 def run_peer(
     robot: Robot, library: Callable[..., Peer], judge: Judge, task: Task,
 ) -> Outcome:
-    """Run another library in closed loop with an ideal arm, with the same margin."""
-    peer = library(robot, task.obstacles, PlannerParameters().clearance_margin)
+    """Run another library in closed loop with an ideal arm, with the same margins."""
+    p = PlannerParameters()
+    peer = library(robot, task.obstacles, p.clearance_margin, p.self_collision_margin)
     poses = path_poses(robot, task, DT)
     count = len(poses) - 1
     postures = np.empty((count + 1, robot.n))
@@ -188,15 +189,21 @@ def runners(robot: Robot, judge: Judge, names: list[str]) -> dict[
 class Bench:
     """One robot with its methods, in a process of its own."""
 
-    def __init__(self, robot: str, axes: int, names: list[str], moving: bool) -> None:
+    def __init__(
+        self, robot: str, axes: int, names: list[str], moving: bool, impossible_too: bool,
+    ) -> None:
         """Prepare for a robot of config/ and the methods of that name."""
         self.robot = make_robot(robot, axes)
         self._methods = runners(self.robot, Judge(self.robot), names)
-        self._moving = moving
+        self._kind = {'moving': moving, 'impossible_too': impossible_too}
+
+    def task(self, seed: int) -> Task:
+        """Return the task of a seed."""
+        return generate(self.robot, seed, **self._kind)
 
     def __call__(self, seed: int) -> dict[str, Outcome]:
         """Run every method on the task of a seed."""
-        task = generate(self.robot, seed, moving=self._moving)
+        task = self.task(seed)
         return {name: run(task) for name, run in self._methods.items()}
 
 
@@ -222,6 +229,8 @@ def parser_of(description: str | None) -> argparse.ArgumentParser:
     parser.add_argument('--seed', type=int, default=0, help='first seed')
     parser.add_argument('--jobs', type=int, default=1,
                         help='processes; more than one and the tick times disturb each other')
+    parser.add_argument('--impossible-too', action='store_true',
+                        help='scenes too of which it is not known whether they can be passed')
     parser.add_argument('--json', type=Path)
     return parser
 
@@ -248,7 +257,8 @@ def main() -> None:
     parser.add_argument('--moving', action='store_true', help='obstacles move through the arm')
     options = parser.parse_args()
     arguments = (
-        options.robot, options.axes, options.method or list(METHODS), options.moving)
+        options.robot, options.axes, options.method or list(METHODS), options.moving,
+        options.impossible_too)
     seeds = range(options.seed, options.seed + options.count)
     with Pool(options.jobs, prepare, arguments) as pool:
         outcomes = list(track(pool.imap(_run, seeds), 'scenarios', total=options.count))

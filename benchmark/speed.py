@@ -38,7 +38,6 @@ Array = npt.NDArray[np.float64]
 
 COUNTS = (0, 1, 3, 10, 100, 1000, 10_000)
 _DT = 0.004
-_MARGIN = 0.01
 _STARTS = {'panda': np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]),
            'paper': np.array([0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0])}
 _TWIST = np.array([0.05, 0.05, 0.0, 0.0, 0.0, 0.1])
@@ -88,7 +87,9 @@ def peer_times(
 ) -> Array:
     """Return the times of the ticks of mink or pink, which are installed for this alone [us]."""
     from benchmark import peers
-    solver = getattr(peers, peer.capitalize())(robot, obstacles, _MARGIN)
+    p = PlannerParameters()
+    solver = getattr(peers, peer.capitalize())(
+        robot, obstacles, p.clearance_margin, p.self_collision_margin)
     arm = robot.kinematics(start)
     pose, q = Pose(arm.tip_position, arm.tip_rotation), start
     times = np.empty(ticks)

@@ -35,6 +35,25 @@ def test_a_seed_gives_the_same_task_and_its_start_is_clear(panda, moving):
         assert distance == 0.0 if moving and not task.twist.any() else 0.1 <= distance <= 0.3
 
 
+@pytest.mark.parametrize('axes', [3, 6])
+def test_a_task_has_a_way_that_the_judge_lets_pass(axes):
+    robot = make_robot('panda', axes)
+    judge, dt = Judge(robot), 0.004
+    for seed in range(4):
+        task = generate(robot, seed)
+        rows = np.linspace(0.0, len(task.way) - 1.0, round(DURATION / dt) + 1)
+        way = np.array([np.interp(rows, np.arange(len(task.way)), joint)
+                        for joint in task.way.T]).T
+        verdict = judge.judge(task, way, np.diff(way, axis=0) / dt, dt)
+        assert verdict.completed and verdict.path_error < 1e-3 and verdict.min_distance > 0.01
+        # Their straight pieces have corners; the way itself is smooth.
+        speeds = np.diff(task.way, axis=0) * (len(task.way) - 1) / DURATION
+        change = np.diff(np.vstack((np.zeros(robot.n), speeds)), axis=0)
+        assert (np.abs(speeds) < robot.velocity_max).all()
+        assert (np.abs(change) * (len(task.way) - 1) / DURATION < robot.acceleration_max).all()
+        assert generate(robot, seed, impossible_too=True).way is None
+
+
 def test_the_judge_measures_exact_distances():
     # A planar arm's capsules against a ball: distance between segment and centre less both radii.
     links = [Capsule(f'l{i}', f'link{i}', np.zeros(3), np.array([x, 0, 0]), 0.05)
@@ -87,7 +106,7 @@ def test_the_filter_hits_nothing_where_the_least_norm_hits():
 def test_looking_ahead_finds_the_way_that_the_instant_misses():
     robot = make_panda()
     judge = Judge(robot)
-    task = generate(robot, 0)
+    task = generate(robot, 5)
     stuck = run_planner(robot, METHODS['dynamic_factor'], judge, task)
     around = run_planner(robot, METHODS['variational_known'], judge, task, known=True)
     assert not stuck.tracked and stuck.verdict.final_error < 1e-3
@@ -119,6 +138,18 @@ def test_the_loops_obstacles_leave_the_start_free():
 def test_an_arm_does_not_whip_off_its_path():
     """One that did: next to a singularity, around an obstacle, and 10.6 mm away."""
     robot = make_robot('panda', 6)
-    outcome = run_planner(
-        robot, METHODS['variational_held'], Judge(robot), generate(robot, 1025))
+    start = np.array([1.303, 0.3184, -1.3704, -2.0799, -0.9385, 2.2462, 0.6141])
+    twist = np.array([-0.0043, -0.1493, -0.0004, -0.0757, 0.1046, 0.1262])
+    obstacles = tuple(
+        Obstacle(f'o{i}', np.array(center), np.array(semi_axes), np.array(orientation)
+                 / np.linalg.norm(orientation))
+        for i, (center, semi_axes, orientation) in enumerate((
+            ((0.3447, -0.1029, 0.3428), (0.0783, 0.0884, 0.0997),
+             (-0.5306, -0.1771, -0.3124, 0.7678)),
+            ((0.3519, 0.0037, 0.7651), (0.0464, 0.0405, 0.0788),
+             (-0.0486, -0.1577, 0.5127, 0.8426)),
+            ((0.2581, -0.0784, 0.4235), (0.0662, 0.0874, 0.056),
+             (-0.3537, 0.3342, 0.8644, 0.1267)))))
+    outcome = run_planner(robot, METHODS['variational_held'], Judge(robot),
+                          Task(0, start, twist, obstacles))
     assert outcome.verdict.path_error < 1e-3

@@ -44,7 +44,7 @@ def test_they_follow_the_path_and_stop_at_the_obstacle(library):
     arm = robot.kinematics(q)
     ball = Obstacle('ball', arm.tip_position + [0.3, 0.0, -0.1], np.full(3, 0.05))
     for obstacles in ((), (ball,)):
-        peer = library(robot, obstacles, 0.01)
+        peer = library(robot, obstacles, 0.01, 0.005)
         pose, posture, closest = Pose(arm.tip_position, arm.tip_rotation), q, np.inf
         for _ in range(500):
             pose = integrate(pose, np.array([0.1, 0, 0, 0, 0, 0]), 0.004, False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 import ctypes
 from dataclasses import dataclass
+from functools import partial
 import os
 from pathlib import Path
 import signal
@@ -112,7 +113,7 @@ class Processes:
         # A session of its own, so that Ctrl-C reaches us alone and the end is in our order;
         # and a death signal, so that nothing stays behind even if we are killed.
         child = subprocess.Popen(command, env=self.environment, start_new_session=True,
-                                 preexec_fn=_die_with_parent)
+                                 preexec_fn=partial(_die_with, os.getpid()))
         self._children[name or f'{node} {len(self._children)}'] = child
         return child
 
@@ -131,8 +132,10 @@ def _yaml(value: object) -> str:
     return str(value)
 
 
-def _die_with_parent() -> None:
+def _die_with(parent: int) -> None:
     ctypes.CDLL(None).prctl(_DEATH_SIGNAL, signal.SIGKILL)
+    if os.getppid() != parent:  # it died before it could be asked for the signal
+        os._exit(1)
 
 
 def cpu_seconds(pid: int) -> float:

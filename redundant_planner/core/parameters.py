@@ -123,9 +123,10 @@ class PlannerParameters:
         description='Factor k of Eq. 1 for gradient_projection. Too large and the arm oscillates '
                     'about the best posture, too small and it does not evade.')
     k_alpha: float = parameter(
-        0.8, low=0.0, high=10.0, runtime=True,
+        1.2, low=0.0, high=10.0, runtime=True,
         description='Adjustment coefficient of Eq. 2 for dynamic_factor: the largest null-space '
-                    'speed as a share of the least-norm speed.')
+                    'speed as a share of the least-norm speed. More of it gets past more '
+                    'obstacles, on longer joint paths.')
     k_w: float = parameter(
         1.0, low=0.0, runtime=True,
         description='Weight of the clearance index H_w in Eq. 18. With 0 nothing but the safety '

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 import os
 from pathlib import Path
 import signal
@@ -10,6 +11,8 @@ import sys
 import time
 
 import pytest
+
+from redundant_planner.analysis.live import _die_with
 
 COMMAND = [sys.executable, '-m', 'redundant_planner.analysis.demo']
 
@@ -34,6 +37,13 @@ def start(tmp_path, *arguments):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
+def wait_for_children(marker, enough, patience=30.0):
+    deadline = time.monotonic() + patience
+    while not enough(len(children_of(marker))):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
 def test_it_ends_by_itself_and_leaves_a_report_and_nothing_else(tmp_path):
     marker, demo = start(tmp_path)
     out, err = demo.communicate(timeout=60)
@@ -46,20 +56,24 @@ def test_it_ends_by_itself_and_leaves_a_report_and_nothing_else(tmp_path):
     assert not children_of(marker)
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_interrupted_it_leaves_no_process_behind(tmp_path, number):
-    marker, demo = start(tmp_path)
-    deadline = time.monotonic() + 30.0
-    while len(children_of(marker)) < 4 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert len(children_of(marker)) >= 4  # demo, arm, planner, player
-    demo.send_signal(number)
-    _, err = demo.communicate(timeout=20)
-    assert demo.returncode != 0
-    assert 'Traceback' not in err
-    while children_of(marker) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not children_of(marker)
+def test_interrupted_it_leaves_no_process_behind(tmp_path):
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+    demos = [start(tmp_path / number.name) for number in numbers]
+    for number, (marker, demo) in zip(numbers, demos):
+        wait_for_children(marker, lambda count: count >= 4)  # demo, arm, planner, player
+        demo.send_signal(number)
+    for number, (marker, demo) in zip(numbers, demos):
+        _, err = demo.communicate(timeout=20)
+        assert demo.returncode != 0, number
+        assert 'Traceback' not in err, number
+        wait_for_children(marker, lambda count: not count)
+
+
+def test_a_child_whose_parent_died_before_it_was_set_up_ends_at_once():
+    gone = subprocess.Popen(['true'])
+    gone.wait()
+    child = subprocess.Popen(['sleep', '60'], preexec_fn=partial(_die_with, gone.pid))
+    assert child.wait(timeout=10) != 0
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [

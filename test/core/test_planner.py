@@ -56,7 +56,7 @@ def test_equation_1_holds_term_by_term(robot):
         np.testing.assert_allclose(result.dq, result.least_norm + result.homogeneous)
         # Eq. 2 bounds the homogeneous part by kα times the least-norm part.
         assert (np.linalg.norm(result.homogeneous)
-                <= 0.8 * np.linalg.norm(result.least_norm) * (1 + 1e-9))
+                <= planner.parameters.k_alpha * np.linalg.norm(result.least_norm) * (1 + 1e-9))
 
 
 @pytest.mark.parametrize(('gains', 'column', 'tolerance'), [

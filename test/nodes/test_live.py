@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 import signal
 import time
 
@@ -271,23 +272,16 @@ def test_the_urdf_may_come_by_topic():
         ros.wait_for(lambda: ros.commands, 'a command after robot_description')
 
 
-@pytest.mark.parametrize(('arguments', 'message'), [
+FILE = ['--params-file', str(ROBOTS / 'paper_2p5r.yaml')]
+ARM_FAULTS = [
     ([], "'urdf' is empty"),
     (['-p', 'urdf:=/no/such.urdf'], "'/no/such.urdf' is not a file"),
     (['-p', 'initial_joints:=[nose]', '-p', 'initial_positions:=[1.0]', '-p',
       f'urdf:={ROBOTS}/paper_2p5r.urdf'], "unknown joint 'nose'"),
     (['-p', 'initial_joints:=[d1]', '-p', f'urdf:={ROBOTS}/paper_2p5r.urdf'],
      "'initial_positions' has 0 entries; it takes 1"),
-])
-def test_the_fake_arm_ends_with_one_readable_line(arguments, message):
-    status, text = run_node('fake_hardware_node', *arguments)
-    assert status == 2 and message in text and 'Traceback' not in text, text
-
-
-FILE = ['--params-file', str(ROBOTS / 'paper_2p5r.yaml')]
-
-
-@pytest.mark.parametrize(('arguments', 'message'), [
+]
+PLANNER_FAULTS = [
     (['-p', f'urdf:={ROBOTS}/paper_2p5r.urdf'], "'tip_frame' is empty"),
     ([*FILE, '-p', 'tip_frame:=nose'], "tip_frame 'nose' is not in the URDF"),
     ([*FILE, '-p', 'urdf:=/no/such.urdf'], "'/no/such.urdf' is not a file"),
@@ -302,7 +296,19 @@ FILE = ['--params-file', str(ROBOTS / 'paper_2p5r.yaml')]
     ([*FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0, 1.0]',
       '-p', 'static_obstacle.o.semi_axes:=[0.1, 0.0, 1.0]'], 'all three must be positive'),
     (['--params-file', '/no/such.yaml'], '/no/such.yaml'),
-])
-def test_the_planner_ends_with_one_readable_line(arguments, message):
-    status, text = run_node('planner_node', *arguments)
-    assert status == 2 and message in text and 'Traceback' not in text, text
+]
+FAULTS = [*(('fake_hardware_node', *fault) for fault in ARM_FAULTS),
+          *(('planner_node', *fault) for fault in PLANNER_FAULTS)]
+
+
+@pytest.fixture(scope='module')
+def endings():
+    """How the nodes end that FAULTS describes; side by side, as every start takes a second."""
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        return list(pool.map(lambda fault: run_node(fault[0], *fault[1]), FAULTS))
+
+
+@pytest.mark.parametrize('fault', range(len(FAULTS)), ids=[fault[2] for fault in FAULTS])
+def test_a_node_ends_with_one_readable_line(endings, fault):
+    status, text = endings[fault]
+    assert status == 2 and FAULTS[fault][2] in text and 'Traceback' not in text, text
