@@ -34,6 +34,7 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.analysis.live import cpu_seconds, Processes
+from redundant_planner.analysis.reproduce_paper import panda_urdf
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.robot import Robot
 from redundant_planner.nodes.messages import markers_of, twist_to_message
@@ -203,7 +204,8 @@ def main(args: list[str] | None = None) -> int:
     """Run the benchmark; return the process's exit status."""
     parser = argparse.ArgumentParser(prog='benchmark.loop', description=__doc__)
     parser.add_argument('--robot', default='panda', choices=tuple(_STARTS))
-    parser.add_argument('--urdf', default='', help="URDF instead of the robot file's")
+    parser.add_argument('--urdf', default='',
+                        help="URDF instead of the robot file's, or of the Panda found here")
     parser.add_argument('--rate', type=int, nargs='+', default=[250, 500, 1000], metavar='HZ')
     parser.add_argument('--obstacles', type=int, nargs='+', default=[10], metavar='COUNT')
     parser.add_argument('--method', default='dynamic_factor')
@@ -212,9 +214,12 @@ def main(args: list[str] | None = None) -> int:
                         help='also with a process that keeps one core busy')
     parser.add_argument('--json', type=Path)
     options = parser.parse_args(args)
+    urdf = options.urdf
+    if options.robot == 'panda' and not urdf:
+        urdf = str(panda_urdf() or '')
     runs = [(rate, count, busy) for rate in options.rate for count in options.obstacles
             for busy in ((False, True) if options.busy else (False,))]
-    rows = [measure(robot=options.robot, urdf=options.urdf, rate=rate, obstacles=count,
+    rows = [measure(robot=options.robot, urdf=urdf, rate=rate, obstacles=count,
                     seconds=options.seconds, method=options.method, busy=busy)
             for rate, count, busy in track(runs, description='loops')]
     table = Table(title=f'{options.robot}, {options.method}, {options.seconds:g} s each')

@@ -35,17 +35,22 @@ _PANDA_URDFS = (
 )
 
 
-def find_panda(given: str | None) -> Robot | None:
-    """Return the Panda of config/, on the first URDF of it that this machine has."""
-    for location in [given] if given else _PANDA_URDFS:
+def panda_urdf() -> Path | None:
+    """Return the first URDF of a Panda that this machine has."""
+    for location in _PANDA_URDFS:
         try:
-            path = resolve(location)
+            return resolve(location)
         except PlannerError:
-            if given:
-                raise
             continue
-        return load_robot(share_directory() / 'config' / 'robots' / 'panda.yaml', urdf=str(path))
     return None
+
+
+def find_panda(given: str | None) -> Robot | None:
+    """Return the Panda of config/, on the given URDF or the first that this machine has."""
+    path = resolve(given) if given else panda_urdf()
+    if path is None:
+        return None
+    return load_robot(share_directory() / 'config' / 'robots' / 'panda.yaml', urdf=str(path))
 
 
 def summary(
