@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.compiled import compiled, Matrix, Vector
+from redundant_planner.core.compiled import compiled, Indices, Matrix, Vector
 from redundant_planner.core.obstacles import Pairs, Scene, Whitening
 
 Array = npt.NDArray[np.float64]
@@ -91,7 +91,8 @@ def surroundings(
 def _chosen(maps: Whitening, distance: Matrix, wide: Vector) -> tuple[Any, Whitening]:
     """Return which obstacles are within a distance of a link, or the nearest; and their maps."""
     links, count = distance.shape
-    index, found, nearest, least = np.empty(count, np.intp), 0, 0, np.inf
+    found, nearest, least = 0, 0, np.inf
+    index: Indices = np.empty(count, np.intp)
     for obstacle in range(count):
         near = False
         for link in range(links):

@@ -294,7 +294,7 @@ class Planner:
 
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
-        self._previous = np.zeros(self.robot.n)
+        self._previous: Array = np.zeros(self.robot.n)
         self._path_velocity: Array = np.zeros(self.robot.m)
         self._reference: Pose | None = None
         self._forget_links()
@@ -561,7 +561,7 @@ def _task(
     correction = drift.feedback(kept, p.drift_gain, p.drift_speed, p.drift_angular_speed)
     if np.abs(command).max() == 0.0 and np.abs(kept).max() < _AT_REST:
         correction[:] = 0.0
-    turning = np.zeros(len(constants.rows))
+    turning: Array = np.zeros(len(constants.rows))
     if p.drift_gain > 0.0:
         # J turns while the arm moves: half of that belongs to the tick ahead.
         turning = 0.5 * dt * rate_times(

@@ -369,7 +369,7 @@ def _problem(
     desired: Vector, jacobian: Matrix, twist: Vector, turning: Vector, coasting: Vector,
     lower: Vector, upper: Vector, gradient: Matrix, bounds: Vector, weights: Vector,
     may_coast: bool, slack: bool, path_gives_way: bool,
-) -> tuple[Array, ...]:
+) -> tuple[Array, Array, Array, Array, Array, npt.NDArray[np.int32]]:
     """Return a stage's problem as DAQP takes it: ½ xᵀ H x + fᵀx, low ≤ (x, A x) ≤ high, sense."""
     m, n = jacobian.shape
     size, rows = n + 1 + may_coast + slack, len(bounds)

@@ -85,7 +85,7 @@ class ObstacleBook:
         self._reader = MarkerReader()
         # The ids of a message that only gave places to known obstacles, see `MarkerReader`.
         self._same_ids: npt.NDArray[np.intp] | None = None
-        self._rows = np.empty(0, dtype=np.intp)
+        self._rows: npt.NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self._factors: Array = np.empty((0, 3))
         self._changed = False
         self._next_change = np.inf
