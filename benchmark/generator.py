@@ -37,6 +37,7 @@ _LEAST_SINGULAR_VALUE = 0.08
 _WAY_CLEARANCE = 0.015
 _WAY_SPEED, _WAY_ACCELERATION = 0.8, 0.7
 _WAY_ASIDE = (0.4, 1.5)
+# In how many tasks least-norm motion is made to run into an obstacle, and how deep [m].
 _HIT_SHARE = 0.9
 _HIT_DEPTH = 0.02
 _FASTEST_OBSTACLE = 0.3
@@ -182,8 +183,8 @@ def _way(robot: Robot, task: Task, random: np.random.Generator) -> Array | None:
 def _self_clearance(robot: Robot, postures: Array) -> float:
     """Return the smallest distance between links that can run into each other [m]."""
     radii = np.array([capsule.radius for capsule in robot.capsules])
-    return min((float(link_distances(start, end, radii, robot.self_pairs).distance.min(
-        initial=np.inf)) for start, end in zip(*_segments(robot, postures))))
+    return min(float(link_distances(start, end, radii, robot.self_pairs).distance.min(
+        initial=np.inf)) for start, end in zip(*_segments(robot, postures)))
 
 
 def _segments(robot: Robot, postures: Array) -> tuple[Array, Array]:

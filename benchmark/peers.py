@@ -75,7 +75,7 @@ class Mink:
         others = [f'obstacle{i}' for i in range(len(obstacles))]
         own = [([links[i]], [links[j]]) for i, j in robot.self_pairs]
         for pairs, distance in (([(links, others)], margin), (own, self_margin)):
-            if all(first and second for first, second in pairs):
+            if pairs and all(first and second for first, second in pairs):
                 self._limits.append(mink.CollisionAvoidanceLimit(
                     self._model, pairs, minimum_distance_from_collisions=distance,
                     collision_detection_distance=_DETECTION))
