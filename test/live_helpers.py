@@ -61,7 +61,8 @@ class Station:
             self.spin(0.001)
 
     def state(self, names):
-        """The latest positions of the named joints."""
+        """The latest positions of the named joints; others may have heard of them before us."""
+        self.wait_for(lambda: self.states, 'joint_states')
         message = self.states[-1]
         return np.array([message.position[message.name.index(name)] for name in names])
 

@@ -205,7 +205,7 @@ def test_an_interrupt_in_motion_ends_in_a_stop_and_a_clean_exit():
         ros.drive(np.zeros(6), 0.2)
         assert planner.returncode == 0
         assert not np.any(ros.commands[-1].velocity)
-        assert not np.any(ros.states[-1].velocity)
+        ros.wait_for(lambda: ros.states and not np.any(ros.states[-1].velocity), 'rest')
 
 
 def test_the_fake_arm_keeps_its_limits_and_refuses_strangers():
