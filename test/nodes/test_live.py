@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 import yaml
 
-from redundant_planner.analysis import metrics, paper
+from redundant_planner.analysis import paper
 from redundant_planner.analysis.demo import summarise
 from redundant_planner.analysis.recording import read_recording
 from redundant_planner.core.obstacles import Obstacle
