@@ -23,8 +23,9 @@ from redundant_planner.core.errors import PlannerError
 
 BAD_INPUT = 2
 
-# How long a signal, or a node that is done, may wait for the executor to look up [s].
-_PATIENCE = 0.02
+# How long a signal to a node in which nothing happens, or a node that is done, may wait for the
+# executor to look up [s].
+_PATIENCE = 0.5
 
 
 class EndableNode(Node):
@@ -50,11 +51,12 @@ def run(make_node: Callable[[], EndableNode], name: str, args: list[str] | None 
         name: of the executable, for messages.
         args: command line, `sys.argv` if None.
     """
-    interrupted = False
+    interrupted, over = False, Future()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
         interrupted = True
+        over.set_result(None)
 
     # Ours rather than rclpy's handlers, which close the context before a node can say goodbye.
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -71,8 +73,10 @@ def run(make_node: Callable[[], EndableNode], name: str, args: list[str] | None 
         gc.freeze()
         while not (interrupted or node.done):
             # Not spin(): rclpy 7.1's EventsExecutor turns in circles there without a timeout; nor
-            # spin_once(), which costs 20 us for every callback. This future never is.
-            executor.spin_until_future_complete(Future(), timeout_sec=_PATIENCE)
+            # spin_once(), which costs 20 us for every callback. Not often either: each of these
+            # calls leaks 32 bytes. A new future each time, as one would collect their callbacks.
+            over = Future()
+            executor.spin_until_future_complete(over, timeout_sec=_PATIENCE)
         node.finish()
     except (PlannerError, ParameterException, rclpy_implementation.RCLError,
             rclpy_implementation.UnknownROSArgsError) as error:
