@@ -9,6 +9,8 @@ import subprocess
 import sys
 import time
 
+from conftest import PAPER_DOMAINS
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist
 import numpy as np
 import rclpy
@@ -23,8 +25,12 @@ from redundant_planner.nodes.process import best_executor, keep_off_shared_memor
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 keep_off_shared_memory()
-PATIENCE = 30.0
-_domains = itertools.count(110 + os.getpid() % 20 * 5)
+# How long a test waits before it fails; a machine that does other things too may stand still
+# for a second at any moment, so what is true `at once` is waited for all the same.
+PATIENCE = 60.0
+# Domains above 101 use ports that Linux hands out to whoever asks for any.
+_domains = itertools.count(os.getpid())
+_LONE_DOMAIN = PAPER_DOMAINS.stop
 
 
 class Station:
@@ -34,37 +40,81 @@ class Station:
         self.node, self._executor = node, executor
         self.states: list[JointState] = []
         self.commands: list[JointState] = []
+        self.statuses: list[DiagnosticStatus] = []
         self.twist = node.create_publisher(Twist, 'cmd_vel', 10)
         self.joint_states = node.create_publisher(JointState, 'joint_states', 10)
         self.obstacles = node.create_publisher(MarkerArray, 'obstacles', 10)
         node.create_subscription(JointState, 'joint_states', self.states.append, 100)
         node.create_subscription(JointState, 'joint_command', self.commands.append, 100)
+        node.create_subscription(
+            DiagnosticArray, '/diagnostics', lambda m: self.statuses.extend(m.status), 10)
 
     def spin(self, timeout=0.01):
         self._executor.spin_once(timeout_sec=timeout)
 
-    def wait_for(self, condition, what='condition', patience=PATIENCE):
+    def wait_for(self, condition, what='condition', patience=PATIENCE, meanwhile=lambda: None):
+        """Spin until a condition holds, and do something else between the messages."""
         deadline = time.monotonic() + patience
         while not condition():
-            assert time.monotonic() < deadline, f'waited {patience} s in vain: {what}'
-            self.spin()
+            assert time.monotonic() < deadline, (
+                f'waited {patience} s in vain: {what}; last diagnostics: {self.statuses[-1:]}')
+            meanwhile()
+            self.spin(0.001)
+
+    def drive_until(self, twist, condition, what, rate=100.0):
+        """Publish a twist at a rate until a condition holds, then nothing more."""
+        message = twist_to_message(twist)
+        last = -np.inf
+
+        def publish():
+            nonlocal last
+            if time.monotonic() >= last + 1.0 / rate:
+                last = time.monotonic()
+                self.twist.publish(message)
+
+        self.wait_for(condition, what, meanwhile=publish)
 
     def drive(self, twist, seconds, rate=100.0):
         """Publish a twist at a rate for a while, then nothing more."""
-        message = twist_to_message(twist)
+        end = time.monotonic() + seconds
+        self.drive_until(twist, lambda: time.monotonic() > end, 'the end', rate)
+
+    def drive_until_silent(self, twist):
+        """Drive on until no command has come for a while."""
+        deadline = time.monotonic() + PATIENCE
+        while self.commands:
+            assert time.monotonic() < deadline, 'the planner goes on publishing'
+            self.commands.clear()
+            self.drive(twist, 0.2)
+
+    def call(self, kind, name, request):
+        """Call a service of the planner's."""
+        client = self.node.create_client(kind, f'/planner_node/{name}')
+        self.wait_for(client.service_is_ready, name)
+        # A server that has not discovered the client's side yet answers into the void: ask again.
+        futures = []
+
+        def ask():
+            if len(futures) <= (time.monotonic() - begin) / 3.0:
+                futures.append(client.call_async(request))
+
         begin = time.monotonic()
-        sent = 0
-        while time.monotonic() - begin < seconds:
-            if time.monotonic() - begin >= sent / rate:
-                self.twist.publish(message)
-                sent += 1
-            self.spin(0.001)
+        self.wait_for(lambda: any(f.done() for f in futures), f'answer of {name}', meanwhile=ask)
+        return next(f.result() for f in futures if f.done())
 
     def state(self, names):
         """The latest positions of the named joints; others may have heard of them before us."""
         self.wait_for(lambda: self.states, 'joint_states')
         message = self.states[-1]
         return np.array([message.position[message.name.index(name)] for name in names])
+
+    def moves(self):
+        """Return whether the latest command moves the arm."""
+        return bool(self.commands) and np.any(self.commands[-1].velocity)
+
+    def stops(self):
+        """Return whether the latest command is a stop."""
+        return bool(self.commands) and not np.any(self.commands[-1].velocity)
 
     def at_rest(self):
         recent = self.commands[-20:]
@@ -74,7 +124,7 @@ class Station:
 @contextmanager
 def station():
     """Yield a Station and a Processes on a ROS domain of their own."""
-    domain = next(_domains) % 230
+    domain = 1 + next(_domains) % (PAPER_DOMAINS.start - 1)
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = Node('station', context=context)
@@ -90,7 +140,7 @@ def station():
 
 def run_node(node, *arguments, timeout=30):
     """Run a node that is expected to end by itself; return (status, stderr)."""
-    environment = dict(os.environ, ROS_DOMAIN_ID='231')
+    environment = dict(os.environ, ROS_DOMAIN_ID=str(_LONE_DOMAIN))
     done = subprocess.run(
         [sys.executable, '-m', f'redundant_planner.nodes.{node}', '--ros-args', *arguments],
         env=environment, capture_output=True, text=True, timeout=timeout, check=False)

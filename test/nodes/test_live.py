@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 import signal
-import time
 
 from conftest import make_panda, make_paper_arm, PANDA_READY, PANDA_URDF, ROBOTS
-from live_helpers import PATIENCE, run_node, station
+from live_helpers import run_node, station
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -50,6 +49,11 @@ def configuration(ros):
     return yaml.safe_load(said[-1])['/**']['ros__parameters']
 
 
+def tip_twist(robot, command):
+    """What a command moves the tip with."""
+    return robot.kinematics(np.array(command.position)).jacobian @ np.array(command.velocity)
+
+
 def test_the_papers_motion_live(paper_runs):
     """The tip keeps within 1 mm of its line while whole links clear the ellipsoid."""
     scenario = load_scenario(PAPER)
@@ -73,7 +77,7 @@ def test_looking_ahead_live_takes_the_shorter_joint_path(paper_runs):
         summary = summarise(robot, read_recording(paper_runs[method]))
         assert summary.path_error < 1e-3 and summary.clearance.level > 0.0
         length[method] = summary.path.sum()
-    assert length['variational'] < 0.98 * length['dynamic_factor']
+    assert length['variational'] < 0.9 * length['dynamic_factor']
 
 
 def test_the_papers_method_live_ends_where_it_ends_offline(paper_runs):
@@ -100,7 +104,10 @@ def test_a_panda_follows_a_typed_twist_for_ten_seconds():
         assert said['locked_positions'] == pytest.approx([0.03])
         before = robot.kinematics(ros.state(robot.joint_names))
         twist = np.array([0.01, 0.012, -0.008, 0.0, 0.0, 0.02])
+        ros.drive_until(twist, ros.moves, 'motion')
+        ros.commands.clear()
         ros.drive(twist, 10.0, rate=20.0)
+        twists = [tip_twist(robot, command) for command in ros.commands]
         ros.wait_for(ros.at_rest, 'rest')
         ros.states.clear()
         ros.wait_for(lambda: ros.states)
@@ -108,8 +115,10 @@ def test_a_panda_follows_a_typed_twist_for_ten_seconds():
         moved = after.tip_position - before.tip_position
         direction = twist[:3] / np.linalg.norm(twist[:3])
         travelled = moved @ direction
-        # Ten seconds, the command's timeout and the stop; off the line by less than 0.5 mm.
-        assert travelled == pytest.approx(10.0 * np.linalg.norm(twist[:3]), rel=0.03)
+        # Ten seconds, the command's timeout and the stop, or less where the machine stood still;
+        # off the line by less than 0.5 mm.
+        assert 0.8 < travelled / (10.0 * np.linalg.norm(twist[:3])) < 1.04
+        np.testing.assert_allclose(np.median(twists, axis=0), twist, atol=1e-4)
         assert np.linalg.norm(moved - travelled * direction) < 5e-4
         # The rotation that belongs to the distance travelled, to 0.1°.
         angle = pin.log3(after.tip_rotation @ before.tip_rotation.T)
@@ -148,24 +157,20 @@ def test_nothing_is_said_before_a_state_and_bad_input_hurts_nobody():
         ros.obstacles.publish(flat)
         ros.drive(np.array([np.nan, 0, 0, 0, 0, 0]), 0.3)
         assert ros.at_rest()
-        ros.drive(np.array([0.0, -0.02, 0, 0, 0, 0]), 0.3)
-        assert np.any(ros.commands[-1].velocity)
+        forward = np.array([0.0, -0.02, 0, 0, 0, 0])
+        ros.drive_until(forward, ros.moves, 'motion')
 
         # Nothing but nonsense any more: zero after the timeout, and the arm comes to rest.
         ros.drive(np.array([np.inf, 0, 0, 0, 0, 0]), 0.3)
         ros.wait_for(ros.at_rest, 'rest')
 
         # The arm's process hangs: the last command is a stop. It comes back: so does the planner.
-        ros.drive(np.array([0.0, -0.02, 0, 0, 0, 0]), 0.3)
+        ros.drive_until(forward, ros.moves, 'motion')
         arm.send_signal(signal.SIGSTOP)
-        ros.drive(np.array([0.0, -0.02, 0, 0, 0, 0]), 0.3)
-        assert not np.any(ros.commands[-1].velocity)
-        ros.commands.clear()
-        ros.drive(np.array([0.0, -0.02, 0, 0, 0, 0]), 0.2)
-        assert not ros.commands
+        ros.drive_until(forward, ros.stops, 'a stop')
+        ros.drive_until_silent(forward)
         arm.send_signal(signal.SIGCONT)
-        ros.drive(np.array([0.0, -0.02, 0, 0, 0, 0]), 0.3)
-        assert np.any(ros.commands[-1].velocity)
+        ros.drive_until(forward, ros.moves, 'motion')
         assert planner.poll() is None
 
 
@@ -177,18 +182,18 @@ def test_an_arm_that_restarts_elsewhere_is_not_pulled_back():
         here = np.array([PAPER_START.get(name, 0.0) for name in names])
         there = here + np.array([0.1, 0.1, 0.0, 0.2, 0.0, 0.0, 0.0])
 
-        def hold(q, seconds):
-            begin = time.monotonic()
-            while time.monotonic() - begin < seconds:
+        def hold_until(q, condition, what):
+            def publish():
                 ros.joint_states.publish(JointState(name=names, position=q.tolist()))
                 ros.drive(np.zeros(6), 0.01)
+            ros.wait_for(condition, what, meanwhile=publish)
 
-        deadline = time.monotonic() + PATIENCE
-        while not ros.commands and time.monotonic() < deadline:
-            hold(here, 0.05)
-        hold(there, 0.5)
+        hold_until(here, lambda: ros.commands, 'commands')
+        hold_until(there, lambda: np.allclose(ros.commands[-1].position, there), 'a new start')
+        ros.commands.clear()
+        hold_until(there, lambda: len(ros.commands) > 100, 'commands')
         assert not any(np.any(m.velocity) for m in ros.commands)
-        np.testing.assert_allclose(ros.commands[-1].position, there)
+        assert np.abs(np.array([m.position for m in ros.commands]) - there).max() < 1e-6
 
 
 def test_an_interrupt_in_motion_ends_in_a_stop_and_a_clean_exit():
@@ -196,13 +201,11 @@ def test_an_interrupt_in_motion_ends_in_a_stop_and_a_clean_exit():
         processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
         planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
         ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
-        ros.drive(np.array([0.0, -0.03, 0, 0, 0, 0]), 0.5)
-        assert np.any(ros.commands[-1].velocity)
+        ros.drive_until(np.array([0.0, -0.03, 0, 0, 0, 0]), ros.moves, 'motion')
         planner.send_signal(signal.SIGINT)
         ros.wait_for(lambda: planner.poll() is not None, 'exit', 10.0)
-        ros.drive(np.zeros(6), 0.2)
         assert planner.returncode == 0
-        assert not np.any(ros.commands[-1].velocity)
+        ros.wait_for(ros.stops, 'a stop')
         ros.wait_for(lambda: ros.states and not np.any(ros.states[-1].velocity), 'rest')
 
 
@@ -219,28 +222,19 @@ def test_the_fake_arm_keeps_its_limits_and_refuses_strangers():
             joint_command.publish(bad)
         ros.drive(np.zeros(6), 0.2)
         np.testing.assert_array_equal(ros.state(['d1', 'd2']), begin)
-        deadline = time.monotonic() + PATIENCE
-        while ros.state(['d1'])[0] < 0.4 and time.monotonic() < deadline:
-            joint_command.publish(JointState(name=['d1'], velocity=[100.0]))
-            ros.drive(np.zeros(6), 0.01)
-        assert all(m.position[0] <= 0.4 for m in ros.states)
-        assert ros.state(['d1'])[0] == 0.4
+        fast = JointState(name=['d1'], velocity=[100.0])
+        ros.wait_for(lambda: ros.state(['d1'])[0] >= 0.4, 'the limit',
+                     meanwhile=lambda: joint_command.publish(fast))
+        for _ in range(100):
+            joint_command.publish(fast)
+            ros.spin()
+        assert max(m.position[0] for m in ros.states) == 0.4
         assert arm.poll() is None
 
 
 def set_parameter(ros, name, value):
-    client = ros.node.create_client(SetParameters, '/planner_node/set_parameters')
-    ros.wait_for(client.service_is_ready, 'parameter service')
     request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-    # A server that has not discovered the client's side yet answers into the void: ask again.
-    for _ in range(10):
-        future = client.call_async(request)
-        deadline = time.monotonic() + 3.0
-        while not future.done() and time.monotonic() < deadline:
-            ros.spin()
-        if future.done():
-            return future.result().results[0]
-    raise AssertionError('no answer')
+    return ros.call(SetParameters, 'set_parameters', request).results[0]
 
 
 def test_parameters_change_while_running_or_are_refused_with_the_reason():
@@ -256,11 +250,14 @@ def test_parameters_change_while_running_or_are_refused_with_the_reason():
                 ('tip_frame', 'nose', 'tip_frame'), ('position_margin', 0.45, "joint 'd1'")):
             result = set_parameter(ros, name, value)
             assert not result.successful and reason in result.reason, (name, result.reason)
-        ros.drive(np.array([0.0, -0.1, 0, 0, 0, 0]), 1.0)
-        robot = make_paper_arm()
-        velocity = robot.kinematics(ros.state(robot.joint_names)).jacobian @ np.array(
-            ros.commands[-1].velocity)
-        assert np.linalg.norm(velocity) == pytest.approx(0.01, rel=0.05)
+        robot, fast = make_paper_arm(), np.array([0.0, -0.1, 0, 0, 0, 0])
+
+        ros.drive_until(fast, lambda: np.linalg.norm(
+            tip_twist(robot, ros.commands[-1])) > 0.0095, '10 mm/s')
+        ros.commands.clear()
+        ros.drive_until(fast, lambda: len(ros.commands) > 100, 'commands')
+        speeds = [np.linalg.norm(tip_twist(robot, command)) for command in ros.commands]
+        assert np.median(speeds) == pytest.approx(0.01, rel=0.05)
         assert planner.poll() is None
 
 
