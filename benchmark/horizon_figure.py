@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,14 +35,15 @@ _PANDA_SEED = 2002
 
 
 def compare(
-    robot: Robot, start: Array, profile: TwistAhead, duration: float,
-    obstacles: tuple[Obstacle, ...], poses: list[Pose], methods: Mapping[str, PlannerParameters],
+    robot: Robot, start: Array, twist_at: Callable[[float], Array], preview: TwistAhead,
+    duration: float, obstacles: tuple[Obstacle, ...], poses: list[Pose],
+    methods: Mapping[str, PlannerParameters],
 ) -> dict[str, tuple[Array, Array]]:
     """Return name → (times, postures) of every method and of the optimum."""
     scene, found = Scene.of(obstacles), {}
     for name, parameters in methods.items():
-        motion = simulate(Planner(robot, parameters), start, lambda t: profile(np.array([t]))[0],
-                          scene, duration, DT, profile)
+        motion = simulate(Planner(robot, parameters), start, twist_at, scene,
+                          duration, DT, preview)
         found[name] = motion.times, motion.positions
     margin = methods['variational'].clearance_margin
     best = Optimum(robot, start, poses, DT, obstacles, margin).best(
@@ -82,8 +83,9 @@ def main() -> None:
         poses.append(integrate(poses[-1], scenario.twist_at(i * DT), DT, False))
     traditional = replace(paper.methods()['gradient_projection_links'],
                           clearance_margin=PlannerParameters().clearance_margin)
-    found = compare(robot, start, scenario.preview().at, scenario.duration, scenario.obstacles,
-                    poses, {'traditional': traditional, **_OURS})
+    found = compare(robot, start, scenario.twist_at, scenario.preview().between,
+                    scenario.duration, scenario.obstacles, poses,
+                    {'traditional': traditional, **_OURS})
     print_table("The paper's scenario, whole links clear by the default margin", robot, found)
     columns = [robot.joint_names.index(name) for name in paper.JOINTS]
     joint_curves(_FOLDER / 'horizon_paper.png', paper.JOINTS, 'displacement [rad, m]',
@@ -93,8 +95,9 @@ def main() -> None:
 
     robot = make_robot('panda', 6)
     task = generate(robot, _PANDA_SEED)
-    found = compare(robot, task.start, task.twist_at, DURATION, task.obstacles,
-                    path_poses(robot, task, DT), {
+    found = compare(robot, task.start, task.twist_at,
+                    lambda times: task.twist_at(0.5 * (times[:-1] + times[1:])), DURATION,
+                    task.obstacles, path_poses(robot, task, DT), {
                         'traditional': PlannerParameters(
                             method='gradient_projection', k_fixed=0.02, k_f=0.0), **_OURS})
     print_table(f'A Panda, scenario {_PANDA_SEED} of the benchmark', robot, found)

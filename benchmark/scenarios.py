@@ -86,7 +86,8 @@ def run_planner(
     for i in range(count):
         if moving:
             scene = Scene.of(task.obstacles_at(i * DT))
-        ahead = (lambda times, now=i * DT: task.twist_at(now + times)) if known else None
+        ahead = (lambda times, now=i * DT: task.twist_at(
+            now + 0.5 * (times[:-1] + times[1:]))) if known else None
         begin = time.perf_counter()
         result = planner.step(postures[i], task.twist_at(i * DT), scene, DT, ahead)
         ticks[i] = time.perf_counter() - begin

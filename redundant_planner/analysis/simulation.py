@@ -45,8 +45,8 @@ def simulate(
         scene: the obstacles.
         duration: [s].
         dt: [s].
-        preview: what the variational method is told, times (N,) [s] → twists (N, 6); nothing
-            if None.
+        preview: what the variational method is told, times (N + 1,) [s] → mean twists (N, 6)
+            from each to the next; nothing if None.
     """
     planner.reset()
     count = round(duration / dt)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 import math
 from typing import NamedTuple
 
@@ -33,6 +34,7 @@ from redundant_planner.core.obstacles import clearance_gradients, link_clearance
 from redundant_planner.core.robot import Chain, fill, Kinematics, Robot
 
 Array = npt.NDArray[np.float64]
+# Times from now (N + 1,) [s] → mean twists (N, 6) from each to the next.
 TwistAhead = Callable[[Array], Array]
 
 # How far one step may move a node in its null space, and how near a link is to an obstacle when
@@ -41,11 +43,15 @@ _TRUST = 0.2
 _NEAR = 0.15
 # What a plan keeps beyond the margin: the filter slows down for what arrives right at it [m].
 _RESERVE = 0.0005
-# A plan whose poses are further off than this is not worth mending [m, rad].
+# A plan whose poses are further off than the first, as the command has changed, may be worse than
+# a new one; further off than the second it is not worth mending [m, rad].
+_ASTRAY = 1e-2
 _LOST = 0.15
-# A plan this near to its poses and clearances counts as free [m, rad]; what a survey finds must be
-# that much shorter to be followed.
+# A plan this near to its poses and clearances counts as free [m, rad]; not being so twice in a row
+# counts, as one step mends what a change of the command has done. What else is found must be that
+# much shorter to be followed.
 _ADMISSIBLE = 3e-3
+_PATIENCE = 2
 _SHORTER = 0.9
 # A survey looks so far to either side of the least-norm path, in steps of that size [rad], and
 # what it finds gets so many steps to settle.
@@ -54,7 +60,7 @@ _SIDESTEP_SIZES = (0.3, 0.1)
 _SETTLING = 5
 # Squared damping of the way back to the poses: near a singularity it takes some more steps [m²].
 _DAMPING = 1e-4
-# Price of being inside a clearance in a survey [1/m].
+# Price of being inside a clearance where paths are compared [1/m].
 _PRICE = 200.0
 # The first interval is a small one, for the velocity of now; the later ones grow.
 _STRETCH = 1.5
@@ -109,9 +115,35 @@ class Preview:
         twists = (1.0 - share) * self.twists[before] + share * self.twists[after]
         return np.where(inside[:, None], twists, 0.0)
 
+    def between(self, times: Array) -> Array:
+        """Return the mean twists (N, 6) from each of times (N + 1,) to the next.
+
+        Not those of the middle: where the twist makes a step, what lies ahead would make one
+        whenever a middle passes it.
+        """
+        return np.diff(self._integral(times), axis=0) / np.diff(times)[:, None]
+
+    @cached_property
+    def _integrals(self) -> Array:
+        """The integrals (k, 6) of the twists up to each point."""
+        pieces = 0.5 * (self.twists[:-1] + self.twists[1:]) * np.diff(self.times)[:, None]
+        return np.vstack((np.zeros(6), pieces.cumsum(axis=0)))
+
+    def _integral(self, times: Array) -> Array:
+        """Return the integrals (N, 6) of the twists up to times (N,)."""
+        if len(self.times) == 1:
+            return np.zeros((len(times), 6))
+        before = np.searchsorted(self.times, times, side='right') - 1
+        before = np.minimum(np.maximum(before, 0), len(self.times) - 2)
+        span = np.diff(self.times)[before]
+        elapsed = np.minimum(np.maximum(times - self.times[before], 0.0), span)[:, None]
+        share = elapsed / np.maximum(span, np.finfo(float).tiny)[:, None]
+        step = self.twists[before + 1] - self.twists[before]
+        return self._integrals[before] + elapsed * (self.twists[before] + 0.5 * share * step)
+
 
 def continued(command: Array, growth: float, times: Array) -> Array:
-    """Return the twists (N, 6) ahead of a command of which nothing else is known.
+    """Return the twists (N, 6) at times ahead of a command of which nothing else is known.
 
     Its direction is held and its size goes on growing or fading as it did, until it is nothing
     or twice itself: whoever slows down is about to stop.
@@ -136,21 +168,16 @@ class Poses(NamedTuple):
     rotation: Stack
 
 
-def poses_ahead(start: Pose, twist_ahead: TwistAhead, times: Array, in_tool: bool) -> Poses:
+@compiled
+def poses_ahead(start: Pose, twists: Matrix, times: Vector, in_tool: bool) -> Poses:
     """Return where the tip has to be at times[1:].
 
     Args:
         start: the reference pose at times[0].
-        twist_ahead: times from now (N,) [s] → twists (N, 6).
+        twists: (N, 6) the mean ones from each time to the next [m/s, rad/s].
         times: (N + 1,) from now [s].
         in_tool: whether twists are in tool axes.
     """
-    twists = twist_ahead(0.5 * (times[:-1] + times[1:]))
-    return _poses_ahead(start, twists, times, in_tool)
-
-
-@compiled
-def _poses_ahead(start: Pose, twists: Matrix, times: Vector, in_tool: bool) -> Poses:
     position, rotation = np.empty((len(twists), 3)), np.empty((len(twists), 3, 3))
     for i in range(len(twists)):
         start = drift.integrate(start, twists[i], times[i + 1] - times[i], in_tool)
@@ -177,6 +204,11 @@ class _Plan(NamedTuple):
     def admissible(self) -> bool:
         """Whether the arm may follow it all the way."""
         return max(self.error, self.intrusion) < _ADMISSIBLE
+
+    @property
+    def price(self) -> float:
+        """Its cost with that of being inside a clearance."""
+        return self.cost + _PRICE * max(self.intrusion + _RESERVE, 0.0)
 
 
 class _Local(NamedTuple):
@@ -268,7 +300,7 @@ class Horizon:
         self._survey: _Survey | None = None
         self._found: _Plan | None = None
         self._closest: Array | None = None
-        self._ticks, self._settled, self._surveys = 0, 0, 0
+        self._ticks, self._settled, self._surveys, self._troubled = 0, 0, 0, 0
         self._random = np.random.default_rng(0)
 
     def advance(
@@ -298,25 +330,35 @@ class Horizon:
     def _step(self, q: Array, poses: Poses, maps: Whitening) -> None:
         """Give one step to the plan, to a survey or to what one has found."""
         self._ticks += 1
-        if self._plan is None or self._ticks % (2 if self._plan.admissible else 4) == 0:
+        if self._plan is None or self._ticks % (4 if self._blocked else 2) == 0:
             self._follow(q, poses, maps)
         elif self._found is not None:
             self._settle(q, poses, maps)
         else:
             self._look_around(q, poses, maps)
 
+    @property
+    def _blocked(self) -> bool:
+        """Whether the plan leads nowhere."""
+        return self._troubled >= _PATIENCE
+
     def _follow(self, q: Array, poses: Poses, maps: Whitening) -> None:
-        """Take one step with the plan; start it where there is none worth mending."""
+        """Take one step with the plan; start anew where that is better than mending it."""
+        plan = None
         if self._plan is not None:
             plan, local = self._look(q, self._plan.nodes, poses, maps)
+            self._troubled = 0 if plan.admissible else self._troubled + 1
             self._closest = (local.gradients[int(local.bounds.argmax())]
                              if local.bounds.size else None)
-            if plan.error < _LOST:
+            if plan.error < _ASTRAY:
                 self._plan = self._improved(plan, local)
                 return
+        fresh, around = self._look(q, self._least_norm_path(q, poses), poses, maps)
+        if plan is not None and plan.error < _LOST and fresh.price >= _SHORTER * plan.price:
+            self._plan = self._improved(plan, local)
+            return
         self._survey = self._found = None
-        self._plan = self._improved(*self._look(
-            q, self._least_norm_path(q, poses), poses, maps))
+        self._plan, self._troubled = self._improved(fresh, around), 0
 
     def _look_around(self, q: Array, poses: Poses, maps: Whitening) -> None:
         """Take one step of a survey; at its end, the cheapest way that it has found."""
@@ -384,8 +426,8 @@ class Horizon:
         found, local = self._look(q, self._found.nodes, poses, maps)
         self._settled += 1
         if self._settled > 2 and found.admissible and (
-                not self._plan.admissible or found.cost < _SHORTER * self._plan.cost):
-            self._plan, self._found = found, None
+                self._blocked or found.cost < _SHORTER * self._plan.cost):
+            self._plan, self._found, self._troubled = found, None, 0
         elif self._settled > _SETTLING:
             self._found = None
         else:

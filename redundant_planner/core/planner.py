@@ -332,9 +332,9 @@ class Planner:
                 that are not controlled do not count.
             scene: the obstacles. Pass the same object while nothing changes.
             dt: time until the next tick [s].
-            ahead: what will be commanded, times from now (N,) [s] → twists (N, 6), for the
-                variational method; None if only the present command is known, which is then
-                held.
+            ahead: what will be commanded, times from now (N + 1,) [s] → mean twists (N, 6) from
+                each to the next, for the variational method; None if only the present command
+                is known, which is then held.
 
         Raises:
             StateError: `q` or `twist` does not fit the robot, or `dt` is not positive.
@@ -419,14 +419,14 @@ class Planner:
             self._horizon = horizon
             horizon.reset()
 
-        def twist_ahead(times: Array) -> Array:
-            if ahead is None:
-                return continued(command, growth, times)
-            return self._controlled * ahead(times)
-
+        times = horizon.times
+        if ahead is None:
+            twists = continued(command, growth, 0.5 * (times[:-1] + times[1:]))
+        else:
+            twists = self._controlled * ahead(times)
         reference = _task(arm, reference, command, self._previous, _Arm(*self._arm),
                           self._settings, dt).reference
-        poses = poses_ahead(reference, twist_ahead, horizon.times, self.robot.in_tool)
+        poses = poses_ahead(reference, twists, times, self.robot.in_tool)
         steps = _FIRST_STEPS if first and ahead is not None else 1
         assert self._maps_of is not None
         return horizon.advance(arm.q, poses, self._maps_of[1], dt, steps)

@@ -82,7 +82,7 @@ class CommandInput:
         if preview is None or elapsed > preview.times[-1] or self.age() > timeout:
             return None
         self._ahead_at = elapsed
-        return lambda times: preview.at(times + elapsed)
+        return lambda times: preview.between(times + elapsed)
 
     def preview_elapsed(self) -> float:
         """Return where in the preview `ahead` last began [s]."""

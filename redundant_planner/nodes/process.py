@@ -23,19 +23,34 @@ from redundant_planner.core.errors import PlannerError
 
 BAD_INPUT = 2
 
-# How long a signal to a node in which nothing happens, or a node that is done, may wait for the
-# executor to look up [s].
+# How long a signal to a node in which nothing happens may wait for the executor to look up [s].
 _PATIENCE = 0.5
 
 
 class EndableNode(Node):
-    """A node with a last word.
+    """A node that can end itself, and has a last word.
 
     Attributes:
-        done: set it and the process ends within moments.
+        done: whether it has come to its end.
     """
 
     done = False
+    _spin: Future | None = None
+
+    def end(self) -> None:
+        """End the process, after this callback."""
+        self.done = True
+        if self._spin is not None:
+            self._spin.set_result(None)
+
+    def spin_until_the_end(self, executor: Executor) -> None:
+        """Run callbacks until `end` is called."""
+        while not self.done:
+            # Not spin(): rclpy 7.1's EventsExecutor turns in circles there without a timeout; nor
+            # spin_once(), which costs 20 us for every callback. Not often either: each of these
+            # calls leaks 32 bytes. A new future each time, as one would collect their callbacks.
+            self._spin = Future()
+            executor.spin_until_future_complete(self._spin, timeout_sec=_PATIENCE)
 
     def finish(self) -> None:
         """Do what must be done while publishing is still possible."""
@@ -51,17 +66,18 @@ def run(make_node: Callable[[], EndableNode], name: str, args: list[str] | None 
         name: of the executable, for messages.
         args: command line, `sys.argv` if None.
     """
-    interrupted, over = False, Future()
+    interrupted = False
+    node: EndableNode | None = None
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
         interrupted = True
-        over.set_result(None)
+        if node is not None:
+            node.end()
 
     # Ours rather than rclpy's handlers, which close the context before a node can say goodbye.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
-    node = None
     keep_off_shared_memory()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -71,12 +87,8 @@ def run(make_node: Callable[[], EndableNode], name: str, args: list[str] | None 
         # What exists by now lives as long as the process: keep the collector off it.
         gc.collect()
         gc.freeze()
-        while not (interrupted or node.done):
-            # Not spin(): rclpy 7.1's EventsExecutor turns in circles there without a timeout; nor
-            # spin_once(), which costs 20 us for every callback. Not often either: each of these
-            # calls leaks 32 bytes. A new future each time, as one would collect their callbacks.
-            over = Future()
-            executor.spin_until_future_complete(over, timeout_sec=_PATIENCE)
+        if not interrupted:
+            node.spin_until_the_end(executor)
         node.finish()
     except (PlannerError, ParameterException, rclpy_implementation.RCLError,
             rclpy_implementation.UnknownROSArgsError) as error:

@@ -97,7 +97,7 @@ class ScenarioPlayer(process.EndableNode):
         self._twist.publish(messages.twist_to_message(twist))
         if elapsed > self._scenario.duration + self._settle:
             self.get_logger().info(f"scenario '{self._scenario.name}' is over")
-            self.done = True
+            self.end()
 
     def _announce(self) -> None:
         if self._preview is None:

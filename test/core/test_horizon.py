@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from conftest import (
     central_difference,
     make_panda,
@@ -23,6 +25,8 @@ from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, wh
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import AXES
+from redundant_planner.resources import share_directory
+from redundant_planner.scenario import load_scenario
 
 DT = 0.004
 VARIATIONAL = PlannerParameters(method='variational')
@@ -36,14 +40,19 @@ def smooth(twist, seconds=3.0):
     return at
 
 
+def middles(times):
+    return 0.5 * (times[:-1] + times[1:])
+
+
 def problem(robot, q, twist, obstacles=(), nodes=6, seconds=1.0, weights=None):
     """A horizon, the poses ahead and the obstacles' maps."""
     scaling = 1.0 / np.sqrt(np.ones(robot.n) if weights is None else weights)
     horizon = Horizon(
         robot, node_times(seconds, nodes), scaling, robot.position_min, robot.position_max)
     arm = robot.kinematics(q)
-    poses = poses_ahead(Pose(arm.tip_position, arm.tip_rotation), smooth(twist, seconds),
-                        horizon.times, robot.in_tool)
+    poses = poses_ahead(Pose(arm.tip_position, arm.tip_rotation),
+                        smooth(twist, seconds)(middles(horizon.times)), horizon.times,
+                        robot.in_tool)
     return horizon, poses, whitening(Scene.of(obstacles), [c.radius for c in robot.capsules])
 
 
@@ -61,7 +70,7 @@ def test_poses_ahead_are_those_of_the_twist_integrated(in_tool):
     start = Pose(random.normal(size=3), np.eye(3))
     twist = random.normal(size=6)
     times = node_times(2.0, 5)
-    poses = poses_ahead(start, lambda t: np.tile(twist, (len(t), 1)), times, in_tool)
+    poses = poses_ahead(start, np.tile(twist, (5, 1)), times, in_tool)
     for i, time in enumerate(times[1:]):
         expected = drift.integrate(start, twist, time, in_tool)
         np.testing.assert_allclose(poses.position[i], expected.position, atol=1e-12)
@@ -126,6 +135,21 @@ def test_a_preview_is_linear_between_its_points_steps_at_equal_times_and_ends():
     assert not Preview(np.zeros(1), one[None]).at(np.array([-1.0, 0.0, 1.0])).any()
 
 
+@given(st.integers(0, 10**6), st.integers(1, 6))
+def test_the_mean_twists_between_times_are_those_of_the_preview_integrated(seed, points):
+    random = np.random.default_rng(seed)
+    gaps = random.uniform(size=points - 1) * random.integers(0, 2, points - 1)
+    preview = Preview(0.3 + np.append(0.0, gaps.cumsum()), random.normal(size=(points, 6)))
+    times = np.sort(random.uniform(-0.5, preview.times[-1] + 0.5, 4))
+    for i, mean in enumerate(preview.between(times)):
+        # Piece by piece, as the twist may make steps.
+        knots = np.unique(np.clip(np.append(preview.times, times), times[i], times[i + 1]))
+        total = sum((b - a) * preview.at(np.array([0.5 * (a + b)]))[0]
+                    for a, b in itertools.pairwise(knots))
+        np.testing.assert_allclose(
+            mean, total / (times[i + 1] - times[i]), atol=1e-9)
+
+
 @pytest.mark.parametrize(('times', 'twists', 'message'), [
     ([], np.empty((0, 6)), 'has 0 times'),
     ([0.0, 1.0], np.zeros((1, 6)), 'one or more points with six numbers each'),
@@ -188,7 +212,7 @@ def run(planner, q, twist_at, scene, seconds, known):
     postures, results = [np.array(q, dtype=float)], []
     for i in range(round(seconds / DT)):
         now = i * DT
-        ahead = (lambda times, now=now: twist_at(now + times)) if known else None
+        ahead = (lambda times, now=now: twist_at(now + middles(times))) if known else None
         results.append(planner.step(postures[-1], twist_at(now), scene, DT, ahead))
         postures.append(postures[-1] + DT * results[-1].dq)
     return np.array(postures), results
@@ -214,6 +238,22 @@ def test_the_joint_path_is_shorter_and_the_tip_on_its_line(make):
     usual = sum(r.dq @ r.dq for r in results)
     assert effort[True] <= effort[False] * 1.02
     assert effort[True] < usual
+
+
+def test_an_arm_rests_when_its_profile_has_ended_next_to_an_obstacle():
+    """A profile that ends with a step; the twist is there for one more tick than the preview."""
+    scenario = load_scenario(share_directory() / 'config' / 'scenarios' / 'paper.yaml')
+    robot, preview, scene = make_paper_arm(), scenario.preview(), Scene.of(scenario.obstacles)
+    planner, q, moved = Planner(robot, VARIATIONAL), scenario.start_posture(make_paper_arm()), []
+    for time in DT * np.arange(-250, 1000):
+        ahead = (lambda times, now=time: preview.between(now + times)) if time <= 3.0 else None
+        late = time - DT
+        twist = scenario.twist_at(late) if 0.0 <= late < 3.0 else np.zeros(6)
+        result = planner.step(q, twist, scene, DT, ahead)
+        q = q + DT * result.dq
+        moved.append(DT * np.abs(result.dq).sum())
+    assert sum(moved) < 0.6
+    assert sum(moved[252 + 750:]) < 0.005
 
 
 def test_the_same_inputs_give_the_same_motion(panda):
@@ -265,7 +305,7 @@ def test_limits_hold_whatever_is_commanded_and_whatever_appears(seed, known):
         scene = Scene.of(random_scene(robot, int(random.integers(1000)),
                                       int(random.integers(0, 4))))
         for _ in range(12):
-            ahead = (lambda times, t=twist: np.tile(t, (len(times), 1))) if known else None
+            ahead = (lambda times, t=twist: np.tile(t, (len(times) - 1, 1))) if known else None
             result = planner.step(q, twist, scene, DT, ahead)
             assert np.isfinite(result.dq).all()
             assert (np.abs(result.dq) <= robot.velocity_max + 1e-9).all()

@@ -38,7 +38,7 @@ def motion(parameters, start=(0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1), axes=N
         Obstacle('p', np.array([0.05, 0.5, 0.5]), np.array([0.05, 0.03, 0.03]), velocity=drift)])
     planner = Planner(robot, parameters)
     twist = np.array([-0.1, -0.2, 0.3, 0.0, 0.5, 0.0])
-    ahead = (lambda times: np.tile(twist, (len(times), 1))) if known else None
+    ahead = (lambda times: np.tile(twist, (len(times) - 1, 1))) if known else None
     postures, _ = drive(planner, start, twist, scene, 0.2, ahead=ahead)
     more, _ = drive(planner, postures[-1] + 0.02, twist, scene, 3.0, ahead=ahead)
     return np.vstack((postures, more))
