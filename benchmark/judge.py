@@ -50,17 +50,21 @@ class Verdict:
 
 
 class Judge:
-    """Judges runs of one robot."""
+    """Judges runs of one robot.
+
+    Attributes:
+        robot: which.
+    """
 
     def __init__(self, robot: Robot) -> None:
         """Prepare the robot's capsules as coal shapes."""
-        self._robot = robot
+        self.robot = robot
         self._shapes = [coal.Capsule(max(c.radius, 1e-5), max(_length(c), 1e-6))
                         for c in robot.capsules]
 
     def judge(self, task: Task, postures: Array, velocities: Array, dt: float) -> Verdict:
         """Return the verdict on postures (k + 1, n) and the velocities (k, n) between them."""
-        robot = self._robot
+        robot = self.robot
         closest, nearest = np.inf, ''
         for i in range(0, len(postures), _STRIDE):
             distance, names = self._distance(task, postures[i], i * dt)
@@ -89,14 +93,14 @@ class Judge:
             float(np.abs(np.diff(postures, axis=0)).sum()))
 
     def _distance(self, task: Task, q: Array, time: float) -> tuple[float, str]:
-        arm = self._robot.kinematics(q)
+        arm = self.robot.kinematics(q)
         request, best, names = coal.DistanceRequest(), np.inf, ''
         for obstacle in task.obstacles_at(time):
             ellipsoid = coal.Ellipsoid(*obstacle.semi_axes.tolist())
             at = coal.Transform3s(obstacle.rotation, obstacle.center)
             reach = obstacle.semi_axes.max()
             for capsule, shape, a, b in zip(
-                    self._robot.capsules, self._shapes, arm.segment_start, arm.segment_end):
+                    self.robot.capsules, self._shapes, arm.segment_start, arm.segment_end):
                 if np.linalg.norm(0.5 * (a + b) - obstacle.center) > (
                         reach + capsule.radius + 0.5 * _length(capsule) + 0.2):
                     continue

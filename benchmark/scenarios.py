@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, path_poses, Task
 from benchmark.judge import Judge, Verdict
 from redundant_planner.analysis.reproduce_paper import find_panda
@@ -61,6 +62,7 @@ class Outcome:
         reasons: what the planner said, each once.
         tick_us: (k,) time of every tick.
         postures: (k + 1, n).
+        unavoidable: hit by what no motion of the arm's first joints could have evaded.
     """
 
     task: int
@@ -69,6 +71,7 @@ class Outcome:
     reasons: tuple[str, ...]
     tick_us: Array
     postures: Array
+    unavoidable: bool
 
 
 def run_planner(
@@ -130,7 +133,9 @@ def _outcome(
     # end of the path tells whether anything was lost.
     tracked = (on_time and verdict.path_error < 1e-3 and verdict.turn_error < _TURN
                and verdict.completed)
-    return Outcome(task.seed, verdict, tracked, reasons, 1e6 * ticks, postures)
+    hit = verdict.min_distance < 0.0 and any(o.velocity.any() for o in task.obstacles)
+    return Outcome(task.seed, verdict, tracked, reasons, 1e6 * ticks, postures,
+                   hit and unavoidable(judge.robot, task))
 
 
 def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
@@ -139,6 +144,7 @@ def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
     ticks = np.concatenate([o.tick_us for o in outcomes])
     return {
         'collisions': sum(v.min_distance < 0.0 for v in verdicts),
+        'unavoidable': sum(o.unavoidable for o in outcomes),
         'limit_violations': sum(v.limit_violation > 0.0 for v in verdicts),
         'tracked': float(np.mean([o.tracked for o in outcomes])),
         'max_path_error_mm': 1e3 * max(v.path_error for v in verdicts),
@@ -151,7 +157,8 @@ def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
         'tick_us_p99': float(np.percentile(ticks, 99)),
         'count': len(outcomes),
         'notable': [
-            {'seed': o.task, 'reasons': list(o.reasons)[:5], **asdict(o.verdict)}
+            {'seed': o.task, 'reasons': list(o.reasons)[:5], 'unavoidable': o.unavoidable,
+             **asdict(o.verdict)}
             for o in outcomes
             if o.verdict.min_distance < 0.0 or o.verdict.limit_violation > 0.0
             or o.verdict.path_error > 1e-3],

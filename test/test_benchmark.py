@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 import sys
 
-from conftest import make_panda, make_planar, random_postures
+from conftest import make_panda, make_planar, PANDA_READY, random_postures
 import numpy as np
 import pytest
 
@@ -15,6 +15,7 @@ from redundant_planner.nodes.obstacle_book import ObstacleBook
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmark import loop, speed
+from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, Task
 from benchmark.judge import Judge
 from benchmark.scenarios import make_robot, METHODS, run_planner, summarise
@@ -101,6 +102,17 @@ def test_the_filter_hits_nothing_where_the_least_norm_hits():
     assert result['max_path_error_mm'] < 1.0
     assert {'tracked', 'min_distance_mm', 'cost_median', 'path_median', 'tick_us_median',
             'tick_us_p99'} <= set(result)
+
+
+def test_what_sweeps_over_the_shoulder_is_unavoidable_and_what_passes_by_is_not():
+    robot = make_panda()
+    shoulder = Obstacle('o', np.array([-1.0, 0.0, 0.33]), np.full(3, 0.08),
+                        velocity=np.array([0.3, 0.0, 0.0]))
+    above = Obstacle('o', np.array([-1.0, 0.0, 0.9]), np.full(3, 0.08),
+                     velocity=np.array([0.3, 0.0, 0.0]))
+    for obstacle, expected in ((shoulder, True), (above, False)):
+        task = Task(0, PANDA_READY, np.zeros(6), (obstacle,))
+        assert unavoidable(robot, task) == expected
 
 
 def test_looking_ahead_finds_the_way_that_the_instant_misses():

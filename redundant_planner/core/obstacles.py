@@ -151,7 +151,7 @@ class Scene:
 
 
 @compiled
-def inflated_semi_axes(semi_axes: Matrix, radii: Vector) -> Array:
+def inflated_semi_axes(semi_axes: Matrix, radii: Matrix) -> Array:
     """Return the semi-axes of the trace-minimal ellipsoids around ellipsoid ⊕ ball, (c, k, 3).
 
     With A² = diag(a²): (1+β) A² + (1+1/β) r² I, β = √(3 r² / tr A²). Adding r to the semi-axes
@@ -159,12 +159,12 @@ def inflated_semi_axes(semi_axes: Matrix, radii: Vector) -> Array:
 
     Args:
         semi_axes: (k, 3) [m].
-        radii: (c,) of the balls, 0 or more [m].
+        radii: (c, k) of the balls, 0 or more [m].
     """
-    inflated = np.empty((len(radii), len(semi_axes), 3))
+    inflated = np.empty((*radii.shape, 3))
     for ball in range(len(radii)):
-        r2 = radii[ball] * radii[ball]
         for ellipsoid in range(len(semi_axes)):
+            r2 = radii[ball, ellipsoid] * radii[ball, ellipsoid]
             a, b, c = semi_axes[ellipsoid]
             trace = a * a + b * b + c * c
             # r² / β without the division, as β is 0 for a bare segment.
@@ -196,21 +196,27 @@ class Whitening(NamedTuple):
     speeds: Vector
 
 
-def whitening(scene: Scene, radii: npt.ArrayLike) -> Whitening:
-    """Prepare a scene for links of the given radii (c,) [m]."""
+def whitening(scene: Scene, radii: npt.ArrayLike, lead: float = 0.0) -> Whitening:
+    """Prepare a scene for links of the given radii (c,) [m].
+
+    Obstacles that move are taken as larger all round by the way that they make within `lead` [s].
+    """
     return _whitening(scene.centers, scene.rotations, scene.semi_axes, scene.velocities,
-                      np.array(radii, dtype=float))
+                      np.array(radii, dtype=float), lead)
 
 
 @compiled
 def _whitening(
     centers: Matrix, rotations: Stack, semi_axes: Matrix, velocities: Matrix, radii: Vector,
+    lead: float,
 ) -> Whitening:
-    inverse = inflated_semi_axes(semi_axes, radii)
-    smallest, speeds = np.empty(inverse.shape[:2]), np.empty(len(centers))
+    speeds = np.empty(len(centers))
     for obstacle in range(len(centers)):
         a, b, c = velocities[obstacle]
         speeds[obstacle] = math.sqrt(a * a + b * b + c * c)
+    inverse = inflated_semi_axes(semi_axes, radii[:, None] + lead * speeds)
+    smallest = np.empty(inverse.shape[:2])
+    for obstacle in range(len(centers)):
         for link in range(len(radii)):
             a, b, c = inverse[link, obstacle]
             smallest[link, obstacle] = min(a, b, c)

@@ -215,6 +215,10 @@ class PlannerParameters:
     clearance_margin: float = parameter(
         0.01, low=0.0, high=1.0, unit='m', runtime=True,
         description='Distance kept between links and obstacles.')
+    obstacle_lead: float = parameter(
+        0.1, low=0.0, high=2.0, unit='s', runtime=True,
+        description='What moves is kept further away, by the way that it makes in this time: '
+                    'where it is may be known late, and the arm needs time to evade.')
     self_collision_margin: float = parameter(
         0.005, low=-1.0, high=1.0, unit='m', runtime=True,
         description='Distance kept between links of the arm; -1 does not look at them. Too large, '

@@ -67,7 +67,8 @@ class Nearest(NamedTuple):
 
     Attributes:
         link, obstacle: their names.
-        level: S of Eq. 6 over the whole link, 0 at the safety margin.
+        level: S of Eq. 6 over the whole link, 0 at the safety margin and what is kept from the
+            obstacle for its motion.
         distance: [m] not more than the true distance beyond the margin; negative inside.
     """
 
@@ -123,6 +124,7 @@ class _Settings(NamedTuple):
     damping_threshold: float
     damping: float
     singularity_margin: float
+    obstacle_lead: float
     barrier_gain: float
     drift_gain: float
     drift_speed: float
@@ -153,7 +155,7 @@ class _Barriers(NamedTuple):
     """What must not be used up in a tick.
 
     Attributes:
-        gradient, drift, reserve: see `safety.Barriers`.
+        gradient, drift, reserve, spare: see `safety.Barriers`.
         soft: how many of the last are not urgent, see there: one that keeps away from a
             singularity, and one on the speed of null-space motion.
         near_singular: whether the former is among them.
@@ -165,6 +167,7 @@ class _Barriers(NamedTuple):
     gradient: Matrix
     drift: Vector
     reserve: Vector
+    spare: Vector
     soft: int
     near_singular: bool
     intruded: bool
@@ -317,7 +320,8 @@ class Planner:
         """Do what a scene new to `step` costs ahead of it, where there is time for that."""
         if self._maps_of is None or self._maps_of[0] is not scene:
             self._maps_of = scene, whitening(
-                scene, self._radii + self._parameters.clearance_margin)
+                scene, self._radii + self._parameters.clearance_margin,
+                self._parameters.obstacle_lead)
             if self._last is not None:
                 self._surroundings(*self._last)
 
@@ -384,7 +388,7 @@ class Planner:
         self._previous = dq
         return StepResult(
             dq.copy(), desired.least_norm, desired.homogeneous, desired.factor, scale, stage,
-            reason, desired.clearance_index, self._nearest(desired, names),
+            reason, desired.clearance_index, self._nearest(desired, names, maps),
             desired.manipulability, pose, task.error)
 
     def _checked_command(self, twist: Array, dt: float) -> tuple[Array, bool]:
@@ -481,7 +485,8 @@ class Planner:
         return safety.safe_velocity(
             desired.dq, False, arm.jacobian, task.wanted + task.back, arm.q, self._previous,
             self._limits,
-            safety.Barriers(found.gradient, found.drift, found.reserve, found.soft),
+            safety.Barriers(
+                found.gradient, found.drift, found.reserve, found.soft, found.spare),
             weights=self._weights, gain=p.barrier_gain,
             may_yield=found.intruded and p.path_priority == 'yield', dt=dt, feedback=task.back,
             turning=task.turning)
@@ -517,13 +522,16 @@ class Planner:
             return f"link '{capsules[link].name}' near obstacle '{obstacles[other]}'"
         return f"link '{capsules[link].name}' near link '{capsules[other].name}'"
 
-    def _nearest(self, desired: _Desired, obstacles: tuple[str, ...]) -> Nearest | None:
+    def _nearest(
+        self, desired: _Desired, obstacles: tuple[str, ...], maps: Whitening,
+    ) -> Nearest | None:
         if desired.nearest_link < 0:
             return None
+        obstacle = desired.nearest_obstacle
+        lead = self._parameters.obstacle_lead * float(maps.speeds[obstacle])
         return Nearest(
-            self.robot.capsules[desired.nearest_link].name,
-            obstacles[desired.nearest_obstacle],
-            pseudo_distance(desired.nearest_clearance), desired.nearest_distance)
+            self.robot.capsules[desired.nearest_link].name, obstacles[obstacle],
+            pseudo_distance(desired.nearest_clearance), desired.nearest_distance + lead)
 
 
 def _constants(
@@ -659,7 +667,7 @@ def _total_gradient(
 @compiled
 def _barriers(
     arm: Kinematics, parts: Decomposition, near: NearPairs, own: NearLinks, previous: Vector,
-    constants: _Arm, p: _Settings, dt: float,
+    constants: _Arm, maps: Whitening, p: _Settings, dt: float,
 ) -> _Barriers:
     """Return what keeps the arm off obstacles, itself and singularities, and from whipping.
 
@@ -679,12 +687,14 @@ def _barriers(
 
     count = outer + inner
     gradient, pairs = np.empty((count + soft, len(previous))), np.empty((count, 2), np.intp)
-    drifts, reserves = np.zeros(count + soft), np.zeros(count + soft)
+    drifts, reserves, spare = np.zeros((3, count + soft))
     for i in range(outer):
         at = near.acting[i]
         gradient[i] = near.gradient[at]
         drifts[i], reserves[i] = near.rate[at], near.clearance[at]
-        pairs[i, 0], pairs[i, 1] = near.links[at], near.obstacles[at]
+        link, obstacle = near.links[at], near.obstacles[at]
+        spare[i] = p.obstacle_lead * maps.speeds[obstacle] / maps.smallest[link, obstacle]
+        pairs[i, 0], pairs[i, 1] = link, obstacle
     for i in range(inner):
         gradient[outer + i], reserves[outer + i] = own.gradient[i], own.distance[i]
         pairs[outer + i] = constants.self_pairs[own.pairs[i]]
@@ -700,7 +710,7 @@ def _barriers(
         gradient[-1] = -sway / speed
         drifts[-1] = max(fastest_sway, slower * np.sum(sway * previous) / speed)
     return _Barriers(
-        gradient, drifts, reserves, soft, near_singular, intruded, pairs, outer)
+        gradient, drifts, reserves, spare, soft, near_singular, intruded, pairs, outer)
 
 
 @compiled
@@ -767,7 +777,7 @@ def _desired(
     least_norm, homogeneous = scaling * least_norm, scaling * (factor * projected)
     dq = least_norm + homogeneous  # Eq. 1
 
-    barriers = _barriers(arm, parts, near, own, previous, constants, p, dt)
+    barriers = _barriers(arm, parts, near, own, previous, constants, maps, p, dt)
     smallest = parts.singular_values[-1]
     admissible = smallest >= p.damping_threshold and safety.admissible(
         dq, arm.q, previous, constants.positions, constants.velocity_max,

@@ -19,7 +19,8 @@ Where the first problem has no solution the next one is tried:
               one, J q̇ = s ẋ + r J q̇_prev: an arm in motion cannot turn or stop at once.
     YIELDING  the path gives way, as little as possible: only where something moves into the arm
               or was found too close to it, and only if that is allowed.
-    FORCED    the twist stops, s = 0, and barriers get a heavily priced slack; limits stay.
+    FORCED    the twist stops, s = 0, and each barrier gets a heavily priced slack of its own: one
+              that nothing can be done about costs the others nothing; limits stay.
 """
 
 from __future__ import annotations
@@ -44,6 +45,13 @@ _PRICE_SCALE = 100.0
 _PRICE_COAST = 1e4
 _PRICE_PATH = 1e4
 _PRICE_BARRIER = 1e6
+# Price of a barrier's slack squared: between two that cannot both be kept it is shared. Giving up
+# what is kept in hand is cheaper.
+_PRICE_BARRIER_SQUARED = 1e8
+_PRICE_SPARE_SQUARED = 1e6
+# So many barriers get slacks of their own, those that ask for most; the others share theirs, which
+# keeps the problem small among many obstacles.
+_OWN_SLACKS = 8
 # Where the path must not give way, coasting on must not serve as a way around that.
 _PRICE_COAST_STRICT = 1e8
 _UNBOUNDED = 1e30
@@ -90,12 +98,15 @@ class Barriers(NamedTuple):
         drift: (p,) ∂h/∂t from the obstacles' own motion [1/s].
         reserve: (p,) h against the margin; negative inside it, where the arm has to get out.
         soft: how many of the last rows are not urgent and give way before anything else does.
+        spare: (p,) how much of a reserve is kept in hand and is given up before the rest of any;
+            none if not given.
     """
 
     gradient: Array
     drift: Array
     reserve: Array
     soft: int = 0
+    spare: Array | None = None
 
 
 class Filtered(NamedTuple):
@@ -311,6 +322,8 @@ def safe_velocity(
         lower, upper = low, high
     urgent = len(gradient) - barriers.soft
     gradient, bounds = gradient[:urgent], barrier_bounds(barriers, gain, stop + dt, dt)[:urgent]
+    spare = np.zeros(urgent) if barriers.spare is None else (
+        barrier_rate(gain, stop + dt, dt) * barriers.spare[:urgent])
     if may_yield:
         found = _solve(Stage.YIELDING, desired, jacobian, twist, turning, coasting, lower, upper,
                        gradient, bounds, weights, share=share, path_gives_way=True)
@@ -318,7 +331,7 @@ def safe_velocity(
             return found
     back = np.zeros(len(twist)) if feedback is None else feedback
     found = _solve(Stage.FORCED, desired, jacobian, back, turning, coasting, lower, upper,
-                   gradient, bounds, weights, share=share, path_gives_way=may_yield)
+                   gradient, bounds, weights, share=share, path_gives_way=may_yield, spare=spare)
     if found is not None:
         return found._replace(scale=0.0)
     still = np.minimum(np.maximum(0.0, lower), upper)
@@ -329,17 +342,20 @@ def _solve(
     stage: Stage, desired: Array, jacobian: Array, twist: Array, turning: Array,
     coasting: Array | None, lower: Array, upper: Array, gradient: Array, bounds: Array,
     weights: Array, *, share: float = 0.0, path_gives_way: bool = False,
+    spare: Array | None = None,
 ) -> Filtered | None:
     """Set up and solve one stage; None where it has no solution.
 
-    Variables are (q̇, s), then r where the twist may coast, then the barriers' slack. A path
+    Variables are (q̇, s), then r where the twist may coast, then the barriers' slacks where they
+    are allowed: first all that are `spare` (p,) at most, then all that are dearer. A path
     that gives way is a squared price on J q̇ + turning − s ẋ − r coasting instead of a
     constraint.
     """
-    slack = stage is Stage.FORCED
+    slack = spare is not None
     hessian, linear, constraints, high, low, sense = _problem(
         desired, jacobian, twist, turning, twist if coasting is None else coasting, lower, upper,
-        gradient, bounds, weights, coasting is not None, slack, path_gives_way)
+        gradient, bounds, bounds if spare is None else spare, weights, coasting is not None,
+        slack, path_gives_way)
     x, _, flag, info = daqp.solve(
         hessian, linear, constraints, high, low, sense, primal_tol=_TOLERANCE)
     solved, dq, scale, coast, joints, pairs = _solution(x, info['lam'], lower, upper, len(bounds))
@@ -367,12 +383,14 @@ def _solution(
 @compiled
 def _problem(
     desired: Vector, jacobian: Matrix, twist: Vector, turning: Vector, coasting: Vector,
-    lower: Vector, upper: Vector, gradient: Matrix, bounds: Vector, weights: Vector,
-    may_coast: bool, slack: bool, path_gives_way: bool,
+    lower: Vector, upper: Vector, gradient: Matrix, bounds: Vector, spare: Vector,
+    weights: Vector, may_coast: bool, slack: bool, path_gives_way: bool,
 ) -> tuple[Array, Array, Array, Array, Array, npt.NDArray[np.int32]]:
     """Return a stage's problem as DAQP takes it: ½ xᵀ H x + fᵀx, low ≤ (x, A x) ≤ high, sense."""
     m, n = jacobian.shape
-    size, rows = n + 1 + may_coast + slack, len(bounds)
+    rows = len(bounds)
+    slacks, groups = n + 1 + may_coast, min(rows, _OWN_SLACKS + 1)
+    size = slacks + 2 * groups * slack
     path = np.zeros((m, size))
     for row in range(m):
         for i in range(n):
@@ -416,10 +434,18 @@ def _problem(
     for row in range(rows):
         for i in range(n):
             constraints[m + row, i] = gradient[row, i]
-        if slack:
-            constraints[m + row, size - 1] = 1.0
         low[size + m + row] = bounds[row]
     if slack:
-        linear[size - 1] = _PRICE_BARRIER
-        high[size - 1] = _UNBOUNDED
+        demand = np.empty(rows)
+        for row in range(rows):
+            demand[row] = bounds[row] / (1e-9 + np.sqrt(np.sum(gradient[row] * gradient[row])))
+        for rank, row in enumerate(np.argsort(-demand)):
+            first = slacks + min(rank, groups - 1)
+            second = first + groups
+            constraints[m + row, first] = constraints[m + row, second] = 1.0
+            hessian[first, first] = _PRICE_SPARE_SQUARED
+            hessian[second, second] = _PRICE_BARRIER_SQUARED
+            linear[first], linear[second] = 0.0, _PRICE_BARRIER
+            high[first] = min(high[first], spare[row]) if rank >= groups else spare[row]
+            high[second] = _UNBOUNDED
     return hessian, linear, constraints, high, low, sense

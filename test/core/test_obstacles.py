@@ -37,6 +37,17 @@ def pairs_of(obstacle, start, end, radius=0.0):
     return link_clearance(maps, start[None], end[None])
 
 
+def test_what_moves_is_larger_by_its_way():
+    start, end = np.zeros(3), np.array([0.0, 0.0, 0.5])
+    resting = Obstacle('o', np.array([0.4, 0.1, 0.2]), np.array([0.1, 0.05, 0.2]))
+    moving = Obstacle('o', resting.center, resting.semi_axes, velocity=np.array([0.3, 0.0, -0.4]))
+    maps = whitening(Scene.of([moving, resting]), [0.05], 0.2)
+    found = link_clearance(maps, start[None], end[None]).clearance[0]
+    assert found[0] == link_clearance(
+        whitening(Scene.of([resting]), [0.05 + 0.2 * 0.5]), start[None], end[None]).clearance
+    assert found[1] == pairs_of(resting, start, end, 0.05).clearance
+
+
 @given(points, points, points, axes, quaternions)
 def test_a_segments_smallest_level_is_exact(start, end, center, semi_axes, quaternion):
     obstacle = Obstacle('o', center, semi_axes, quaternion)
@@ -63,7 +74,7 @@ def test_sphere_and_capsule_meet_where_geometry_says(start, end, sphere, radius)
 
 @given(axes, st.floats(0.0, 0.3), arrays(float, (2, 3), elements=st.floats(-1, 1)))
 def test_inflation_contains_ellipsoid_plus_ball(semi_axes, radius, directions):
-    inflated = inflated_semi_axes(semi_axes[None], np.array([radius]))[0, 0]
+    inflated = inflated_semi_axes(semi_axes[None], np.full((1, 1), radius))[0, 0]
     norms = np.linalg.norm(directions, axis=1)
     if (norms < 1e-3).any():
         return
@@ -83,7 +94,7 @@ def test_adding_the_radius_to_the_semi_axes_would_not_be_conservative():
     normals = np.stack((np.cos(angles), np.sin(angles) / 0.1), axis=1)
     touching = surface + radius * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     assert ((touching / (semi_axes[:2] + radius)) ** 2).sum(axis=1).max() > 1.1
-    inflated = inflated_semi_axes(semi_axes[None], np.array([radius]))[0, 0]
+    inflated = inflated_semi_axes(semi_axes[None], np.full((1, 1), radius))[0, 0]
     assert ((touching / inflated[:2]) ** 2).sum(axis=1).max() <= 1
 
 

@@ -26,7 +26,7 @@ CHANGES = {
     'angular_speed_max': 0.1, 'safety_filter': False, 'position_margin': 0.0,
     'clearance_margin': 0.05, 'barrier_gain': 0.5, 'path_priority': 'strict',
     'horizon': 0.5, 'horizon_held': 0.2, 'horizon_nodes': 3,
-    'singularity_margin': 1.2, 'self_collision_margin': 0.3,
+    'obstacle_lead': 0.5, 'singularity_margin': 1.2, 'self_collision_margin': 0.3,
 }
 
 
@@ -64,7 +64,7 @@ def test_every_parameter_has_an_effect(name):
         options['start'] = (0.38, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1)
     if name == 'horizon':
         options['known'] = True
-    if name == 'path_priority':
+    if name in ('path_priority', 'obstacle_lead'):
         options['drift'] = (-0.5, 0.5, -0.5)
     before = motion(base, **options)
     after = motion(replace(base, **{name: CHANGES[name]}), **options)

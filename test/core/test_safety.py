@@ -140,6 +140,33 @@ def test_the_null_space_goes_before_the_speed():
     assert result.dq[1] >= result.dq[0] - 1e-9
 
 
+def test_a_barrier_that_nothing_can_be_done_about_costs_the_others_nothing():
+    gradient = np.zeros((2, N))
+    gradient[1, 0] = 1.0
+    barriers = Barriers(gradient, np.array([-5.0, -0.03]), np.zeros(2))
+    for may_yield in (False, True):
+        result = filtered(np.zeros(N), np.eye(1, N), np.zeros(1), np.zeros(N), np.zeros(N),
+                          barriers, may_yield=may_yield)
+        assert result.stage is Stage.FORCED
+        if may_yield:
+            assert result.dq[0] == pytest.approx(0.03, abs=1e-3)
+
+
+@pytest.mark.parametrize('spared', [0, 1])
+def test_of_two_barriers_that_cannot_both_be_kept_what_is_in_hand_goes_first(spared):
+    gradient = np.zeros((2, N))
+    gradient[:, 0] = 1.0, -1.0
+    spare = np.zeros(2)
+    spare[spared] = 0.02
+    barriers = Barriers(gradient, np.full(2, -0.03), np.zeros(2), spare=spare)
+    share = filtered(np.zeros(N), np.zeros((1, N)), np.zeros(1), np.zeros(N), np.zeros(N),
+                     barriers._replace(spare=None), may_yield=True).dq[0]
+    assert abs(share) < 1e-3
+    away = filtered(np.zeros(N), np.zeros((1, N)), np.zeros(1), np.zeros(N), np.zeros(N),
+                    barriers, may_yield=True).dq[0]
+    assert (-1.0 if spared == 0 else 1.0) * away > 0.02
+
+
 def test_inside_the_margin_the_arm_moves_out():
     gradient = np.eye(1, N)
     barriers = Barriers(gradient, np.zeros(1), np.array([-0.1]))
