@@ -62,7 +62,8 @@ class Outcome:
         reasons: what the planner said, each once.
         tick_us: (k,) time of every tick.
         postures: (k + 1, n).
-        unavoidable: hit by what no motion of the arm's first joints could have evaded.
+        unavoidable: hit by what no motion of the arm's first joints could have evaded; not looked
+            at for methods that evade nothing.
     """
 
     task: int
@@ -99,7 +100,8 @@ def run_planner(
         slowest = min(slowest, result.scale)
         if result.reason:
             reasons[result.reason] = None
-    return _outcome(judge, task, postures, velocities, slowest > 0.99, tuple(reasons), ticks)
+    return _outcome(judge, task, postures, velocities, slowest > 0.99, tuple(reasons), ticks,
+                    evades=parameters.safety_filter)
 
 
 def run_peer(
@@ -126,14 +128,14 @@ def run_peer(
 
 def _outcome(
     judge: Judge, task: Task, postures: Array, velocities: Array, on_time: bool,
-    reasons: tuple[str, ...], ticks: Array,
+    reasons: tuple[str, ...], ticks: Array, *, evades: bool = True,
 ) -> Outcome:
     verdict = judge.judge(task, postures, velocities, DT)
     # At the very start s is below 1 while the arm takes up speed; the profile is smooth, so the
     # end of the path tells whether anything was lost.
     tracked = (on_time and verdict.path_error < 1e-3 and verdict.turn_error < _TURN
                and verdict.completed)
-    hit = verdict.min_distance < 0.0 and any(o.velocity.any() for o in task.obstacles)
+    hit = evades and verdict.min_distance < 0.0 and any(o.velocity.any() for o in task.obstacles)
     return Outcome(task.seed, verdict, tracked, reasons, 1e6 * ticks, postures,
                    hit and unavoidable(judge.robot, task))
 
