@@ -36,12 +36,13 @@ def unavoidable(robot: Robot, task: Task) -> bool:
     postures = np.tile(task.start, (shape[0] * shape[1], 1))
     postures[:, :_JOINTS] = list(itertools.product(*axes))
     arms = robot.kinematics_along(postures)
-    links = [i for i, moves in enumerate(robot.moves) if not moves[_JOINTS:].any()]
     # How far any point of a link can be from where it is in the middle of the cell.
     ends = np.stack((arms.segment_start, arms.segment_end)).reshape(2, *shape, -1, 3)
     slack = 0.5 * _ROUND * sum(
         np.linalg.norm(np.diff(ends, axis=1 + axis), axis=-1).max(axis=(0, 1, 2))
         for axis in range(_JOINTS))
+    links = [i for i, moves in enumerate(robot.moves)
+             if not moves[_JOINTS:].any() and robot.capsules[i].radius >= slack[i]]
 
     def covered(obstacles: tuple[Obstacle, ...]) -> Mask:
         hit = np.zeros(len(postures), dtype=bool)
@@ -67,7 +68,7 @@ def unavoidable(robot: Robot, task: Task) -> bool:
 def _within(obstacle: Obstacle, capsule: Capsule, slack: float) -> Obstacle:
     """Return an ellipsoid inside obstacle ⊕ ball of the capsule's radius less the slack.
 
-    The support functions say so: √Σ (a + r)² u² ≤ √Σ a² u² + r for every unit u.
+    The support functions say so: √Σ (a + r)² u² ≤ √Σ a² u² + r for every unit u and r ≥ 0.
     """
     return Obstacle(obstacle.name, obstacle.center,
                     np.maximum(obstacle.semi_axes + capsule.radius - slack, 1e-6),
