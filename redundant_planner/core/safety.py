@@ -439,7 +439,9 @@ def _problem(
         demand = np.empty(rows)
         for row in range(rows):
             demand[row] = bounds[row] / (1e-9 + np.sqrt(np.sum(gradient[row] * gradient[row])))
-        for rank, row in enumerate(np.argsort(-demand)):
+        order = np.argsort(-demand)
+        for rank in range(rows):
+            row = int(order[rank])
             first = slacks + min(rank, groups - 1)
             second = first + groups
             constraints[m + row, first] = constraints[m + row, second] = 1.0
