@@ -98,7 +98,7 @@ def central_difference(function, q: np.ndarray, step: float = 1e-6) -> np.ndarra
 
 # ROS domains and what a live run may lack of messages: less than the command's timeout [s].
 PAPER_DOMAINS = range(91, 94)
-_STANDSTILL = 0.05
+_STANDSTILL = 0.09
 
 
 @pytest.fixture(scope='session')
@@ -122,13 +122,13 @@ def _paper_run(method, folder, domain):
     file = share_directory() / 'config' / 'scenarios' / 'paper.yaml'
     files = [share_directory() / 'config' / 'planner' / 'paper.yaml'] * (method == 'paper')
     values = {} if method == 'paper' else {'method': method}
-    for attempt in range(4):
+    for attempt in range(3):
         bag = play(load_scenario(file), file, folder / f'{method}_{attempt}', domain_id=domain,
                    planner_files=files, planner_values={'publish_ticks': True, **values}).bag
         recording = read_recording(bag)
         moving = recording.twist_times[recording.twists.any(axis=1)]
         gaps = [np.diff(t[(t > moving[0]) & (t < moving[-1])]).max() for t in (
-            recording.twist_times, recording.states.times, recording.commands.times)]
+            recording.twist_times, recording.states.times)]
         if max(gaps) < _STANDSTILL:
             break
     return bag
