@@ -18,7 +18,7 @@ from redundant_planner.analysis import metrics, paper
 from redundant_planner.analysis.figures import joint_curves
 from redundant_planner.analysis.simulation import simulate
 from redundant_planner.core.drift import integrate, Pose
-from redundant_planner.core.horizon import TwistAhead
+from redundant_planner.core.horizon import middles, TwistAhead
 from redundant_planner.core.obstacles import Obstacle, Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -96,8 +96,8 @@ def main() -> None:
     robot = make_robot('panda', 6)
     task = generate(robot, _PANDA_SEED)
     found = compare(robot, task.start, task.twist_at,
-                    lambda times: task.twist_at(0.5 * (times[:-1] + times[1:])), DURATION,
-                    task.obstacles, path_poses(robot, task, DT), {
+                    lambda times: task.twist_at(middles(times)), DURATION, task.obstacles,
+                    path_poses(robot, task, DT), {
                         'traditional': PlannerParameters(
                             method='gradient_projection', k_fixed=0.02, k_f=0.0), **_OURS})
     print_table(f'A Panda, scenario {_PANDA_SEED} of the benchmark', robot, found)

@@ -22,6 +22,7 @@ from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, path_poses, Task
 from benchmark.judge import Judge, Verdict
 from redundant_planner.analysis.reproduce_paper import find_panda
+from redundant_planner.core.horizon import middles
 from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -90,8 +91,7 @@ def run_planner(
     for i in range(count):
         if moving:
             scene = Scene.of(task.obstacles_at(i * DT))
-        ahead = (lambda times, now=i * DT: task.twist_at(
-            now + 0.5 * (times[:-1] + times[1:]))) if known else None
+        ahead = (lambda times, now=i * DT: task.twist_at(now + middles(times))) if known else None
         begin = time.perf_counter()
         result = planner.step(postures[i], task.twist_at(i * DT), scene, DT, ahead)
         ticks[i] = time.perf_counter() - begin

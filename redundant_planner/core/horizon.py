@@ -73,6 +73,11 @@ def node_times(duration: float, nodes: int) -> Array:
     return duration * (np.arange(nodes + 1) / nodes) ** _STRETCH
 
 
+def middles(times: Array) -> Array:
+    """Return the times (N,) half way between N + 1 others."""
+    return 0.5 * (times[:-1] + times[1:])
+
+
 @dataclass(frozen=True)
 class Preview:
     """What will be commanded, linear between its points and zero outside.

@@ -25,7 +25,14 @@ from redundant_planner.core.compiled import (
 )
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.horizon import continued, Horizon, node_times, poses_ahead, TwistAhead
+from redundant_planner.core.horizon import (
+    continued,
+    Horizon,
+    middles,
+    node_times,
+    poses_ahead,
+    TwistAhead,
+)
 from redundant_planner.core.jacobian import derivative_between, rate_times
 from redundant_planner.core.null_space import Decomposition
 from redundant_planner.core.obstacles import (
@@ -425,7 +432,7 @@ class Planner:
 
         times = horizon.times
         if ahead is None:
-            twists = continued(command, growth, 0.5 * (times[:-1] + times[1:]))
+            twists = continued(command, growth, middles(times))
         else:
             twists = self._controlled * ahead(times)
         reference = _task(arm, reference, command, self._previous, _Arm(*self._arm),

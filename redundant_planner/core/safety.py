@@ -130,6 +130,7 @@ class Filtered(NamedTuple):
 
 
 _NONE = np.empty(0, dtype=np.intp)
+_NO_SPARE: Array = np.empty(0)
 
 
 @compiled
@@ -322,14 +323,14 @@ def safe_velocity(
         lower, upper = low, high
     urgent = len(gradient) - barriers.soft
     gradient, bounds = gradient[:urgent], barrier_bounds(barriers, gain, stop + dt, dt)[:urgent]
-    spare = np.zeros(urgent) if barriers.spare is None else (
-        barrier_rate(gain, stop + dt, dt) * barriers.spare[:urgent])
     if may_yield:
         found = _solve(Stage.YIELDING, desired, jacobian, twist, turning, coasting, lower, upper,
                        gradient, bounds, weights, share=share, path_gives_way=True)
         if found is not None:
             return found
     back = np.zeros(len(twist)) if feedback is None else feedback
+    spare = np.zeros(urgent) if barriers.spare is None else (
+        barrier_rate(gain, stop + dt, dt) * barriers.spare[:urgent])
     found = _solve(Stage.FORCED, desired, jacobian, back, turning, coasting, lower, upper,
                    gradient, bounds, weights, share=share, path_gives_way=may_yield, spare=spare)
     if found is not None:
@@ -341,8 +342,7 @@ def safe_velocity(
 def _solve(
     stage: Stage, desired: Array, jacobian: Array, twist: Array, turning: Array,
     coasting: Array | None, lower: Array, upper: Array, gradient: Array, bounds: Array,
-    weights: Array, *, share: float = 0.0, path_gives_way: bool = False,
-    spare: Array | None = None,
+    weights: Array, *, share: float = 0.0, path_gives_way: bool = False, spare: Array = _NO_SPARE,
 ) -> Filtered | None:
     """Set up and solve one stage; None where it has no solution.
 
@@ -351,11 +351,10 @@ def _solve(
     that gives way is a squared price on J q̇ + turning − s ẋ − r coasting instead of a
     constraint.
     """
-    slack = spare is not None
+    slack = stage is Stage.FORCED
     hessian, linear, constraints, high, low, sense = _problem(
         desired, jacobian, twist, turning, twist if coasting is None else coasting, lower, upper,
-        gradient, bounds, bounds if spare is None else spare, weights, coasting is not None,
-        slack, path_gives_way)
+        gradient, bounds, spare, weights, coasting is not None, slack, path_gives_way)
     x, _, flag, info = daqp.solve(
         hessian, linear, constraints, high, low, sense, primal_tol=_TOLERANCE)
     solved, dq, scale, coast, joints, pairs = _solution(x, info['lam'], lower, upper, len(bounds))

@@ -20,7 +20,14 @@ from test_obstacles import random_scene
 from redundant_planner.core import drift
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.horizon import continued, Horizon, node_times, poses_ahead, Preview
+from redundant_planner.core.horizon import (
+    continued,
+    Horizon,
+    middles,
+    node_times,
+    poses_ahead,
+    Preview,
+)
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -38,10 +45,6 @@ def smooth(twist, seconds=3.0):
         share = np.clip(np.asarray(times) / seconds, 0.0, 1.0)
         return np.sin(np.pi * share)[..., None] ** 2 * twist
     return at
-
-
-def middles(times):
-    return 0.5 * (times[:-1] + times[1:])
 
 
 def problem(robot, q, twist, obstacles=(), nodes=6, seconds=1.0, weights=None):
