@@ -16,7 +16,8 @@ BENCHMARK = ['casadi', 'mink', 'pin-pink']
 BROWSER = ['PySide6-WebEngine']
 TEST = [
     'colcon-bash', 'colcon-core', 'colcon-package-information', 'colcon-python-setup-py',
-    'colcon-ros', 'example-robot-data', 'hypothesis', 'mypy', 'pytest', 'ruff', 'types-PyYAML',
+    'colcon-ros', 'example-robot-data', 'hypothesis', 'mypy', 'pytest', 'pytest-rerunfailures',
+    'ruff', 'types-PyYAML',
 ]
 
 setup(

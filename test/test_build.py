@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 import shutil
+import signal
 import subprocess
 import sys
+import time
 
 from conftest import ROBOTS
+from live_helpers import LIVE, PATIENCE
 import pytest
 
 SOURCE = Path(__file__).resolve().parent.parent
@@ -48,26 +51,39 @@ def test_everything_lies_where_ros2_looks_for_it(workspace):
     assert (index / 'redundant_planner').is_file()
 
 
+@LIVE
 def test_the_installed_nodes_start_from_the_installed_files(workspace):
     """Sourced, from another folder, with the sources out of the way."""
-    robot = (workspace / 'install' / 'redundant_planner' / 'share' / 'redundant_planner'
-             / 'config' / 'robots' / 'paper_2p5r.yaml')
+    share = workspace / 'install' / 'redundant_planner' / 'share' / 'redundant_planner'
+    robot = share / 'config' / 'robots' / 'paper_2p5r.yaml'
     assert robot.read_text() == (ROBOTS / 'paper_2p5r.yaml').read_text()
-    script = f"""
-        source {workspace}/install/setup.bash
-        export ROS_DOMAIN_ID=104 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
-        export NUMBA_DISABLE_JIT=1  # compiling for yet another place takes half a minute
-        lib={workspace}/install/redundant_planner/lib/redundant_planner
-        cd / && {sys.executable} -c "import redundant_planner; print(redundant_planner.__file__)"
-        for node in fake_hardware_node planner_node; do
-            timeout --signal=INT 4 $lib/$node --ros-args --params-file {robot} &
-        done
-        wait -n; first=$?; wait -n; echo "statuses $first $?"
-        """
-    done = subprocess.run(['bash', '-c', script], capture_output=True, text=True, timeout=60,
-                          check=False)
-    assert f'{workspace}/install' in done.stdout, done.stdout
-    # timeout gives 124 when it had to interrupt: both nodes were alive until then.
-    assert 'statuses 124 124' in done.stdout, done.stdout + done.stderr
-    assert "planning for 'paper_2p5r'" in done.stderr, done.stderr
-    assert 'Traceback' not in done.stderr, done.stderr
+    # Compiling for yet another place would take half a minute.
+    environment = dict(os.environ, ROS_DOMAIN_ID='104', ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
+                       NUMBA_DISABLE_JIT='1')
+    sourced = f'source {workspace}/install/setup.bash && cd / && exec '
+    module = subprocess.run(
+        ['bash', '-c', f'{sourced} {sys.executable} -c '
+         '"import redundant_planner; print(redundant_planner.__file__)"'],
+        env=environment, capture_output=True, text=True, timeout=PATIENCE, check=True)
+    assert module.stdout.startswith(f'{workspace}/install')
+    library = workspace / 'install' / 'redundant_planner' / 'lib' / 'redundant_planner'
+    logs = {node: workspace / f'{node}.log' for node in ('fake_hardware_node', 'planner_node')}
+    nodes = []
+    try:
+        for node, log in logs.items():
+            with log.open('w') as output:
+                nodes.append(subprocess.Popen(
+                    ['bash', '-c', f'{sourced} {library}/{node} --ros-args --params-file {robot}'],
+                    env=environment, stderr=output))
+        deadline = time.monotonic() + PATIENCE
+        while not all(' Hz' in log.read_text() for log in logs.values()):
+            assert time.monotonic() < deadline, [log.read_text() for log in logs.values()]
+            assert all(node.poll() is None for node in nodes), 'both are alive'
+            time.sleep(0.1)
+        for node in nodes:
+            node.send_signal(signal.SIGINT)
+        assert [node.wait(PATIENCE) for node in nodes] == [0, 0]
+    finally:
+        for node in nodes:
+            node.kill()
+    assert not any('Traceback' in log.read_text() for log in logs.values())

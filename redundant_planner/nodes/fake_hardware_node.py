@@ -55,6 +55,8 @@ class FakeHardwareNode(process.EndableNode):
             JointState, 'joint_command', self._on_command, qos_profile_sensor_data)
         self.create_timer(1.0 / settings.rate, self._tick,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(
+            f'simulating {", ".join(self._arm.ranges.names)} at {settings.rate} Hz')
 
     def _on_command(self, message: JointState) -> None:
         ranges = self._arm.ranges

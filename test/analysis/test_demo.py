@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 import os
 from pathlib import Path
@@ -10,10 +11,12 @@ import subprocess
 import sys
 import time
 
+from live_helpers import LIVE, PATIENCE
 import pytest
 
 from redundant_planner.analysis.live import _die_with
 
+pytestmark = LIVE
 COMMAND = [sys.executable, '-m', 'redundant_planner.analysis.demo']
 
 
@@ -37,7 +40,7 @@ def start(tmp_path, *arguments):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
-def wait_for_children(marker, enough, patience=30.0):
+def wait_for_children(marker, enough, patience=PATIENCE):
     deadline = time.monotonic() + patience
     while not enough(len(children_of(marker))):
         assert time.monotonic() < deadline
@@ -46,7 +49,7 @@ def wait_for_children(marker, enough, patience=30.0):
 
 def test_it_ends_by_itself_and_leaves_a_report_and_nothing_else(tmp_path):
     marker, demo = start(tmp_path)
-    out, err = demo.communicate(timeout=60)
+    out, err = demo.communicate(timeout=2.0 * PATIENCE)
     assert demo.returncode == 0, out + err
     for text in ('displacement', 'smallest whole-link clearance', 'joint_command period'):
         assert text in out
@@ -57,16 +60,17 @@ def test_it_ends_by_itself_and_leaves_a_report_and_nothing_else(tmp_path):
 
 
 def test_interrupted_it_leaves_no_process_behind(tmp_path):
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-    demos = [start(tmp_path / number.name) for number in numbers]
-    for number, (marker, demo) in zip(numbers, demos):
+    def interrupt(number):
+        marker, demo = start(tmp_path / number.name)
         wait_for_children(marker, lambda count: count >= 4)  # demo, arm, planner, player
         demo.send_signal(number)
-    for number, (marker, demo) in zip(numbers, demos):
-        _, err = demo.communicate(timeout=20)
+        _, err = demo.communicate(timeout=PATIENCE)
         assert demo.returncode != 0, number
         assert 'Traceback' not in err, number
         wait_for_children(marker, lambda count: not count)
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(interrupt, (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)))
 
 
 def test_a_child_whose_parent_died_before_it_was_set_up_ends_at_once():
@@ -82,6 +86,6 @@ def test_a_child_whose_parent_died_before_it_was_set_up_ends_at_once():
 ])
 def test_bad_input_is_one_readable_line(tmp_path, arguments, message):
     _, demo = start(tmp_path, *arguments)
-    _, err = demo.communicate(timeout=30)
+    _, err = demo.communicate(timeout=PATIENCE)
     assert demo.returncode == 2
     assert message in err and 'Traceback' not in err

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 
-from live_helpers import station
+from live_helpers import LIVE, PATIENCE, station
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile
@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 from redundant_planner.analysis.record_bag import main as record_bag
 from redundant_planner.analysis.recording import JointChunk, open_bag
 
+pytestmark = LIVE
 COUNT = 3000
 
 
@@ -38,7 +39,7 @@ def test_nothing_is_lost_at_a_thousand_hertz_and_a_kill_leaves_it_readable(tmp_p
                 numbered.publish(JointState(name=['count'], position=[float(i)]))
             time.sleep(0.5)
             recorder.send_signal(end)
-            out, _ = recorder.communicate(timeout=20)
+            out, _ = recorder.communicate(timeout=PATIENCE)
         finally:
             recorder.kill()
     with open_bag(folder) as bag:

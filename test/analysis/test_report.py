@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 from bags import paper_motion, write
+from live_helpers import LIVE
 import matplotlib.image
 import pytest
 
@@ -33,6 +34,7 @@ def test_it_is_one_file_that_asks_for_nothing(report):
             assert (report / f'motion_{kind}.{suffix}').stat().st_size > 10_000
 
 
+@LIVE
 @pytest.mark.parametrize(('width', 'height'), [(1200, 900), (400, 800)])
 def test_the_view_plays_without_an_error_on_a_screen_and_on_a_phone(
         report, tmp_path, width, height):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 import signal
 import time
+from types import SimpleNamespace
 
-from conftest import make_panda, make_paper_arm, PANDA_READY, PANDA_URDF, ROBOTS
+from conftest import make_panda, make_paper_arm, PANDA_READY, PANDA_URDF, PASSED, ROBOTS
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
-from live_helpers import PATIENCE, station
+from live_helpers import LIVE, PATIENCE, station
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -24,6 +26,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.nodes.messages import markers_of, seconds_of, twist_to_message
 
+pytestmark = LIVE
 ARM = make_paper_arm()
 START = {'d1': 0.1, 'd2': 0.1, 'theta4': 0.5233, 'theta5': -0.5233, 'theta6': 1.0467}
 FILE = [ROBOTS / 'paper_2p5r.yaml']
@@ -75,15 +78,24 @@ class Bench:
 
 @pytest.fixture(scope='module')
 def shared_bench():
-    with station() as (ros, processes):
-        yield Bench(ros, processes)
+    """A place for the bench of all tests that leave it alive; whoever fails leaves it empty."""
+    place = SimpleNamespace(bench=None, resources=ExitStack())
+    with place.resources:
+        yield place
 
 
 @pytest.fixture
-def bench(shared_bench):
-    """The arm and planner of all tests that leave them alive, at rest, about to move back."""
-    shared_bench.turn_round()
-    return shared_bench
+def bench(shared_bench, request):
+    """The shared arm and planner, at rest, about to move back."""
+    if shared_bench.bench is None:
+        shared_bench.bench = Bench(*shared_bench.resources.enter_context(station()))
+    lent, shared_bench.bench = shared_bench.bench, None
+    lent.turn_round()
+    yield lent
+    if request.node.stash.get(PASSED, False):
+        shared_bench.bench = lent
+    else:
+        shared_bench.resources.close()
 
 
 @pytest.fixture
