@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Callable
 import contextlib
 import gc
@@ -78,6 +79,9 @@ def run(make_node: Callable[[], EndableNode], name: str, args: list[str] | None 
     # Ours rather than rclpy's handlers, which close the context before a node can say goodbye.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
+        # Ctrl-C under `ros2 launch` comes twice, from the terminal and from launch. Python gives
+        # handlers up as it ends, and the second would then make an orderly end look like a death.
+        atexit.register(signal.signal, number, signal.SIG_IGN)
     keep_off_shared_memory()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
