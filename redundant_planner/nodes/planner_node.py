@@ -28,8 +28,10 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import Robot
 from redundant_planner.core.safety import braked
 from redundant_planner.nodes import process
+from redundant_planner.nodes.beat import Beat, wake_up_in_time
 from redundant_planner.nodes.command_input import CommandInput, sender_names
 from redundant_planner.nodes.command_output import CommandOutput
+from redundant_planner.nodes.inbox import Inbox
 from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.obstacle_book import ObstacleBook
@@ -121,6 +123,8 @@ class PlannerNode(process.EndableNode):
         self._reason = ''
         self._said: dict[str, float] = {}
         self._period = 1.0 / self._settings.rate
+        # Simulated time does not pass while a callback waits.
+        self._beat = Beat(self._period) if self._now is time.monotonic else None
 
         # What is listened to only until the first command.
         self._at_first: list[Subscription] = []
@@ -202,6 +206,7 @@ class PlannerNode(process.EndableNode):
         self._report_state()
         on_change(self, lambda: (self._planner_parameters, self._settings), self._apply,
                   'static_obstacle')
+        wake_up_in_time()
         self.create_timer(self._period, self._tick, clock=self._loop_clock)
         if not process.request_priority(self._settings.thread_priority):
             self.get_logger().info(
@@ -219,8 +224,7 @@ class PlannerNode(process.EndableNode):
             self.create_subscription(Twist, 'cmd_vel', command.on_twist, sensors)
         self.create_subscription(
             MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1)
-        self.create_subscription(
-            JointState, 'joint_states', self._on_joint_state, sensors, raw=True)
+        self._joint_states = Inbox(self, JointState, 'joint_states')
         self.create_subscription(
             MarkerArray, 'obstacles', self._raw_obstacles.append, 10, raw=True)
         self.create_service(SetBool, '~/pause', self._on_pause)
@@ -269,13 +273,12 @@ class PlannerNode(process.EndableNode):
             self._robot_parameters, self.robot, self._static, self._planner_parameters,
             self._settings)))
 
-    def _on_joint_state(self, message: bytes) -> None:
+    def _on_joint_state(self, message: bytes, now: float) -> None:
         try:
             q = self._joints.positions(message)
         except StateError as error:
             self._warn(f'joint_states ignored: {error}')
             return
-        now = self._now()
         if self._q is None:
             # Others are found at about the same time as the arm.
             self._ready, self._found = now + _FIRST_LOOK, q
@@ -306,7 +309,12 @@ class PlannerNode(process.EndableNode):
 
     def _tick(self) -> None:
         begin = time.perf_counter()
+        states = self._joint_states.fetch()
         now = self._tick_time = self._now()
+        if self._beat is not None:
+            self._beat.begin(now)
+        for state in states:
+            self._on_joint_state(state, now)
         hold = self._reason_to_hold(now)
         if hold:
             self._come_to_rest()
@@ -315,6 +323,8 @@ class PlannerNode(process.EndableNode):
         self._last_tick = now
         self._state.hold = hold
         elapsed = time.perf_counter() - begin
+        if self._beat is not None:
+            elapsed -= self._beat.waited
         self._state.tick_times.append(elapsed)
         self._state.overruns += elapsed > self._period
         self._after_the_tick(now)
@@ -395,10 +405,11 @@ class PlannerNode(process.EndableNode):
 
     def _publish(self, dq: Array, *, known: bool = True) -> None:
         assert self._q is not None
+        positions = self._position_command.advance(self._q, dq, self._period, known=known)
+        if self._beat is not None:
+            self._beat.wait()
         self._stamp_ns = self._stamp()
-        self._output.publish(
-            self._stamp_ns,
-            self._position_command.advance(self._q, dq, self._period, known=known), dq)
+        self._output.publish(self._stamp_ns, positions, dq)
         self._dq = dq
 
     def _record_tick(self, kind: TickKind, twist: Array, ahead: TwistAhead | None) -> None:
