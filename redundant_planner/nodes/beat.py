@@ -52,7 +52,7 @@ class Beat:
         return self._due
 
     def wait(self) -> None:
-        """Wait until the command is due, if it is not yet: once per tick."""
+        """Wait until the command is due, if it is not yet and a tick has ever begun."""
         begin = time.monotonic()
         early = self._due - begin
         if not 0.0 < early <= self._lead:

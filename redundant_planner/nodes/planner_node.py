@@ -123,8 +123,7 @@ class PlannerNode(process.EndableNode):
         self._reason = ''
         self._said: dict[str, float] = {}
         self._period = 1.0 / self._settings.rate
-        # Simulated time does not pass while a callback waits.
-        self._beat = Beat(self._period) if self._now is time.monotonic else None
+        self._beat = Beat(self._period)
 
         # What is listened to only until the first command.
         self._at_first: list[Subscription] = []
@@ -311,7 +310,7 @@ class PlannerNode(process.EndableNode):
         begin = time.perf_counter()
         states = self._joint_states.fetch()
         now = self._tick_time = self._now()
-        if self._beat is not None:
+        if self._now is time.monotonic:  # simulated time does not pass while a callback waits
             self._beat.begin(now)
         for state in states:
             self._on_joint_state(state, now)
@@ -322,9 +321,7 @@ class PlannerNode(process.EndableNode):
             self._move(now)
         self._last_tick = now
         self._state.hold = hold
-        elapsed = time.perf_counter() - begin
-        if self._beat is not None:
-            elapsed -= self._beat.waited
+        elapsed = time.perf_counter() - begin - self._beat.waited
         self._state.tick_times.append(elapsed)
         self._state.overruns += elapsed > self._period
         self._after_the_tick(now)
@@ -406,8 +403,7 @@ class PlannerNode(process.EndableNode):
     def _publish(self, dq: Array, *, known: bool = True) -> None:
         assert self._q is not None
         positions = self._position_command.advance(self._q, dq, self._period, known=known)
-        if self._beat is not None:
-            self._beat.wait()
+        self._beat.wait()
         self._stamp_ns = self._stamp()
         self._output.publish(self._stamp_ns, positions, dq)
         self._dq = dq

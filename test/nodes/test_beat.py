@@ -52,6 +52,8 @@ def test_a_beat_that_was_put_too_early_is_found_again():
 
 def test_who_is_early_waits_and_who_is_late_does_not():
     beat = Beat(0.02)
+    beat.wait()
+    assert beat.waited == 0.0
     due = beat.begin(time.monotonic())
     beat.wait()
     assert time.monotonic() >= due
