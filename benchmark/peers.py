@@ -106,17 +106,16 @@ class Pink:
     ) -> None:
         """Add the capsules and obstacles to Pinocchio's geometry model; margins as for `Mink`.
 
-        pink's barrier knows one margin for all pairs: that to obstacles.
+        pink's barrier knows one margin for all pairs, that to obstacles: among themselves the
+        links are as much thinner as makes it theirs.
         """
         self._robot, self._model = robot, robot.model.copy()
         self._model.velocityLimit = robot.velocity_max
         geometry = pin.GeometryModel()
-        links = []
-        for i, capsule in enumerate(robot.capsules):
-            joint, start, end = _in_joint(robot, capsule)
-            shape = coal.Capsule(max(capsule.radius, 1e-5), max(_distance(start, end), 1e-6))
-            links.append(geometry.addGeometryObject(pin.GeometryObject(
-                f'link{i}', joint, pin.SE3(rotation_to(end - start), 0.5 * (start + end)), shape)))
+        links = _add_links(geometry, robot, 'link', 0.0)
+        own = _add_links(geometry, robot, 'own_link', 0.5 * (margin - self_margin))
+        for one, other in robot.self_pairs.tolist():
+            geometry.addCollisionPair(pin.CollisionPair(own[one], own[other]))
         self._obstacle_ids = []
         for i, obstacle in enumerate(obstacles):
             body = geometry.addGeometryObject(pin.GeometryObject(
@@ -151,6 +150,20 @@ class Pink:
         for body, obstacle in zip(self._obstacle_ids, obstacles):
             self._configuration.collision_model.geometryObjects[body].placement = pin.SE3(
                 obstacle.rotation, obstacle.center)
+
+
+def _add_links(
+    geometry: pin.GeometryModel, robot: Robot, name: str, thinner: float,
+) -> list[int]:
+    """Add the capsules, their radii less by so much [m], and return their indices."""
+    indices = []
+    for i, capsule in enumerate(robot.capsules):
+        joint, start, end = _in_joint(robot, capsule)
+        shape = coal.Capsule(
+            max(capsule.radius - thinner, 1e-5), max(_distance(start, end), 1e-6))
+        indices.append(geometry.addGeometryObject(pin.GeometryObject(
+            f'{name}{i}', joint, pin.SE3(rotation_to(end - start), 0.5 * (start + end)), shape)))
+    return indices
 
 
 def mjcf(robot: Robot, obstacles: Sequence[Obstacle]) -> str:

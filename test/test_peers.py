@@ -11,6 +11,7 @@ import pytest
 
 from redundant_planner.core.drift import integrate, Pose
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.self_collision import link_distances
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 pytest.importorskip('mink')
@@ -58,3 +59,21 @@ def test_they_follow_the_path_and_stop_at_the_obstacle(library):
             assert closest > 0.0
         else:
             assert reached < 1e-4 and closest < 0.0
+
+
+@pytest.mark.parametrize('library', [Mink, Pink])
+def test_they_keep_the_same_pairs_of_links_apart(library):
+    robot = MAKERS['panda_position']()
+    pairs, radii = robot.self_pairs, np.array([c.radius for c in robot.capsules])
+    arm = robot.kinematics([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
+    for minded in (pairs, pairs[:0]):
+        robot.self_pairs = minded
+        peer = library(robot, (), 0.01, 0.005)
+        pose, posture, closest = Pose(arm.tip_position, arm.tip_rotation), arm.q, np.inf
+        for _ in range(1000):  # towards its own foot
+            pose = integrate(pose, np.array([-0.15, 0, -0.05, 0, 0, 0]), 0.004, False)
+            posture = posture + 0.004 * peer.step(posture, pose, 0.004)
+            now = robot.kinematics(posture)
+            closest = min(closest, link_distances(
+                now.segment_start, now.segment_end, radii, pairs).distance.min())
+        assert closest > 0.0 if len(minded) else closest < -0.05
