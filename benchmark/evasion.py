@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 # Of the grid over the first joints, and between the moments looked at [rad, s].
-_CELL = 0.02
+_CELL = 0.01
 _STEP = 0.04
 _JOINTS = 2
 # An arc is longer than its chord, by much less than this.
@@ -26,9 +26,10 @@ def unavoidable(robot: Robot, task: Task) -> bool:
     """Return whether something hits the links that the first two joints move, whatever these do.
 
     All postures of the two joints are followed through time as a grid of cells, each reaching
-    those that the velocity limits allow, whatever acceleration that takes, until an obstacle
-    covers the cell. That no cell is left is a proof: a cell counts as covered only where the link
-    is hit in all of its postures. That some are left proves nothing.
+    those that the limits of velocity allow, and of acceleration as far as an arm that started at
+    rest is not faster yet, until an obstacle covers the cell. That no cell is left is a proof: a
+    cell counts as covered only where the link is hit in all of its postures. That some are left
+    proves nothing.
     """
     axes = [np.arange(low + 0.5 * _CELL, high + 0.5 * _CELL, _CELL) for low, high in zip(
         robot.position_min[:_JOINTS], robot.position_max[:_JOINTS])]
@@ -44,24 +45,28 @@ def unavoidable(robot: Robot, task: Task) -> bool:
     links = [i for i, moves in enumerate(robot.moves)
              if not moves[_JOINTS:].any() and robot.capsules[i].radius >= slack[i]]
 
-    def covered(obstacles: tuple[Obstacle, ...]) -> Mask:
-        hit = np.zeros(len(postures), dtype=bool)
+    def uncovered(cells: Mask, obstacles: tuple[Obstacle, ...]) -> Mask:
+        chosen = np.flatnonzero(cells)
+        free = np.ones(len(chosen), dtype=bool)
         for i in links:
             scene = Scene.of([_within(o, robot.capsules[i], slack[i]) for o in obstacles])
-            pairs = link_clearance(whitening(scene, np.zeros(1)), arms.segment_start[:, i:i + 1],
-                                   arms.segment_end[:, i:i + 1], np.zeros(len(postures)))
-            hit |= (pairs.clearance < 0.0).any(axis=(1, 2))
-        return hit.reshape(shape)
+            pairs = link_clearance(
+                whitening(scene, np.zeros(1)), arms.segment_start[chosen, i:i + 1],
+                arms.segment_end[chosen, i:i + 1], np.zeros(len(chosen)))
+            free &= (pairs.clearance >= 0.0).all(axis=(1, 2))
+        left = np.zeros(len(postures), dtype=bool)
+        left[chosen[free]] = True
+        return left.reshape(shape)
 
     there = np.zeros(shape, dtype=bool)
     there[tuple(int(abs(axis - q).argmin()) for axis, q in zip(axes, task.start))] = True
-    cells = [int(speed * _STEP / _CELL + 1.0) for speed in robot.velocity_max]
     for time in np.arange(0.0, DURATION, _STEP):
-        there &= ~covered(task.obstacles_at(time))
+        there = uncovered(there, task.obstacles_at(time))
         if not there.any():
             return True
+        speeds = np.minimum(robot.velocity_max, robot.acceleration_max * (time + _STEP))
         for axis in range(_JOINTS):
-            there = _widened(there, axis, cells[axis])
+            there = _widened(there, axis, int(speeds[axis] * _STEP / _CELL + 1.0))
     return False
 
 

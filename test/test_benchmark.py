@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import Capsule
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 
@@ -106,13 +107,32 @@ def test_the_filter_hits_nothing_where_the_least_norm_hits():
 
 def test_what_sweeps_over_the_shoulder_is_unavoidable_and_what_passes_by_is_not():
     robot = make_panda()
-    shoulder = Obstacle('o', np.array([-1.0, 0.0, 0.33]), np.full(3, 0.08),
+    shoulder = Obstacle('o', np.array([-0.6, 0.0, 0.33]), np.full(3, 0.08),
                         velocity=np.array([0.3, 0.0, 0.0]))
-    above = Obstacle('o', np.array([-1.0, 0.0, 0.9]), np.full(3, 0.08),
+    above = Obstacle('o', np.array([-0.6, 0.0, 0.9]), np.full(3, 0.08),
                      velocity=np.array([0.3, 0.0, 0.0]))
     for obstacle, expected in ((shoulder, True), (above, False)):
         task = Task(0, PANDA_READY, np.zeros(6), (obstacle,))
         assert unavoidable(robot, task) == expected
+
+
+def test_what_takes_too_long_to_evade_is_unavoidable():
+    across = Obstacle('o', np.array([-0.05, -0.6, 0.48]), np.full(3, 0.08),
+                      velocity=np.array([0.0, 0.3, 0.0]))
+    task = Task(0, PANDA_READY, np.zeros(6), (across,))
+    for acceleration, expected in ((0.02, True), (5.0, False)):
+        assert unavoidable(make_panda(acceleration_max=[acceleration] * 7), task) == expected
+
+
+def test_the_upper_arm_turns_away_from_where_an_obstacle_is_going():
+    """Which a barrier against where it is does not achieve."""
+    robot = make_panda()
+    judge, task = Judge(robot), generate(robot, 21427, moving=True)
+    hit = run_planner(robot, PlannerParameters(evasion_horizon=0.0), judge, task).verdict
+    evades = run_planner(robot, PlannerParameters(), judge, task).verdict
+    assert hit.min_distance < -0.02 and 'link2' in hit.nearest
+    assert evades.min_distance > 0.0
+    assert hit.limit_violation == evades.limit_violation == 0.0
 
 
 def test_looking_ahead_finds_the_way_that_the_instant_misses():

@@ -219,6 +219,11 @@ class PlannerParameters:
         0.1, low=0.0, high=2.0, unit='s', runtime=True,
         description='What moves is kept further away, by the way that it makes in this time: '
                     'where it is may be known late, and the arm needs time to evade.')
+    evasion_horizon: float = parameter(
+        2.0, low=0.0, high=10.0, unit='s', runtime=True,
+        description='For how long what moves is taken to go on as it does. Where that leads into '
+                    'a link, the first two joints turn out of the way in time; 0 leaves it at '
+                    'turning away from what is near.')
     self_collision_margin: float = parameter(
         0.005, low=-1.0, high=1.0, unit='m', runtime=True,
         description='Distance kept between links of the arm; -1 does not look at them. Too large, '

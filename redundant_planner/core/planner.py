@@ -25,6 +25,7 @@ from redundant_planner.core.compiled import (
 )
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
+from redundant_planner.core.evasion import Evasion, NO_TURN, Turn
 from redundant_planner.core.horizon import (
     continued,
     Horizon,
@@ -65,6 +66,8 @@ _FIRST_STEPS = 100
 _FOUND_INSIDE = 1e-3
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
 _STRAY, _STRAY_ANGLE = 2.5e-4, 2.5e-3
+# How exactly a turn is made, as a share of a joint's speed limit.
+_SLIP = 0.005
 # Over how long the trend of a held command is averaged [s].
 _TREND = 0.1
 
@@ -132,6 +135,7 @@ class _Settings(NamedTuple):
     damping: float
     singularity_margin: float
     obstacle_lead: float
+    evasion_horizon: float
     barrier_gain: float
     drift_gain: float
     drift_speed: float
@@ -245,9 +249,9 @@ class StepResult(NamedTuple):
 class Planner:
     """Velocity-level redundancy resolution for one robot.
 
-    Between ticks it remembers the last joint velocity, the reference pose and when the links
-    were last measured against each other, nothing else: the same sequence of inputs gives the
-    same sequence of outputs.
+    Between ticks it remembers the last joint velocity, the reference pose, the turn that is being
+    made to evade something and when the links were last measured against each other, nothing
+    else: the same sequence of inputs gives the same sequence of outputs.
     """
 
     def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
@@ -297,6 +301,8 @@ class Planner:
                     robot.position_min + margin, robot.position_max - margin)
             for duration in (parameters.horizon, parameters.horizon_held))
         self._horizon: Horizon | None = None
+        self._evasion = Evasion(
+            robot, robot.position_min + margin, robot.position_max - margin)
         self._maps_of = None
         self._around: Surroundings | None = None
         # Of the last tick: where the arm was, and the tick's length.
@@ -311,6 +317,8 @@ class Planner:
         self._command: Array = np.zeros(6)
         self._growth = 0.0
         self._horizon = None
+        self._evasion.reset()
+        self._leaving = False
         self._around = self._last = None
 
     def _forget_links(self) -> None:
@@ -329,6 +337,7 @@ class Planner:
             self._maps_of = scene, whitening(
                 scene, self._radii + self._parameters.clearance_margin,
                 self._parameters.obstacle_lead)
+            self._in_motion = bool(scene.velocities.any())
             if self._last is not None:
                 self._surroundings(*self._last)
 
@@ -361,6 +370,14 @@ class Planner:
         self.prepare(scene)
         names, maps = self._surroundings(arm, dt)
         self._last = arm, dt
+        turn = NO_TURN
+        if (self._in_motion and p.safety_filter and p.path_priority == 'yield'
+                and p.evasion_horizon > 0.0):
+            turn = self._evasion.turn(
+                arm, maps, self._previous, p.evasion_horizon, p.clearance_margin,
+                p.obstacle_lead, self._leaving, dt)
+        else:
+            self._evasion.reset()
         shortest = None
         if p.method == 'variational':
             shortest = self._shortest_path(arm, reference, command, ahead, first, dt)
@@ -372,7 +389,8 @@ class Planner:
             tuple(arm), *reference, command, tuple(maps), self._arm, self._settings,
             self._previous, self._known_at, self._known, p.method == 'gradient_projection',
             shortest is not None, self._previous if shortest is None else shortest,
-            by_joints is not None, *(by_joints or (0.0, self._previous)), dt)
+            by_joints is not None, *(by_joints or (0.0, self._previous)),
+            turn.velocities, turn.link, turn.obstacle, dt)
 
         dq, scale, stage, reason = desired.dq, 1.0, safety.Stage.DESIRED, ''
         task = desired.task
@@ -393,6 +411,7 @@ class Planner:
             task.reference, robot.full_twist(followed), dt, robot.in_tool)
         self._path_velocity = followed
         self._previous = dq
+        self._leaving = stage in (safety.Stage.YIELDING, safety.Stage.FORCED)
         return StepResult(
             dq.copy(), desired.least_norm, desired.homogeneous, desired.factor, scale, stage,
             reason, desired.clearance_index, self._nearest(desired, names, maps),
@@ -614,8 +633,9 @@ def _reach(
 ) -> Array:
     """Return how near an obstacle must be to each link to matter in this tick, (c,) [m]."""
     _, speeds, rate = _pace(previous, constants, settings, dt)
-    least = _Settings(*settings).influence_distance
-    return np.maximum((speeds + obstacle_speeds.max()) / rate, least)
+    p, fastest = _Settings(*settings), obstacle_speeds.max()
+    least = max(p.influence_distance, p.evasion_horizon * fastest)
+    return np.maximum((speeds + fastest) / rate, least)
 
 
 @compiled
@@ -673,17 +693,19 @@ def _total_gradient(
 
 @compiled
 def _barriers(
-    arm: Kinematics, parts: Decomposition, near: NearPairs, own: NearLinks, previous: Vector,
-    constants: _Arm, maps: Whitening, p: _Settings, dt: float,
+    arm: Kinematics, parts: Decomposition, near: NearPairs, own: NearLinks, turn: Turn,
+    previous: Vector, constants: _Arm, maps: Whitening, p: _Settings, dt: float,
 ) -> _Barriers:
     """Return what keeps the arm off obstacles, itself and singularities, and from whipping.
 
     With the singular value's directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v. Closer than the
-    margin the arm may stay where it is; it only may not get closer.
+    margin the arm may stay where it is; it only may not get closer. Where the first joints have to
+    turn, two barriers hold each to its velocity.
     """
     scaling, smallest = constants.scaling, parts.singular_values[-1]
-    outer, inner = len(near.acting), len(own.pairs)
-    intruded = False
+    acting, turning, inner = len(near.acting), len(turn.velocities), len(own.pairs)
+    outer = acting + 2 * turning
+    intruded = turning > 0
     for at in near.acting:
         intruded = intruded or near.distance[at] < -_FOUND_INSIDE or near.rate[at] < 0.0
     near_singular = smallest <= _SINGULARITY_NEAR * p.singularity_margin
@@ -695,13 +717,19 @@ def _barriers(
     count = outer + inner
     gradient, pairs = np.empty((count + soft, len(previous))), np.empty((count, 2), np.intp)
     drifts, reserves, spare = np.zeros((3, count + soft))
-    for i in range(outer):
+    for i in range(acting):
         at = near.acting[i]
         gradient[i] = near.gradient[at]
         drifts[i], reserves[i] = near.rate[at], near.clearance[at]
         link, obstacle = near.links[at], near.obstacles[at]
         spare[i] = p.obstacle_lead * maps.speeds[obstacle] / maps.smallest[link, obstacle]
         pairs[i, 0], pairs[i, 1] = link, obstacle
+    for i in range(acting, outer):
+        j, way = (i - acting) // 2, 1.0 - 2.0 * ((i - acting) % 2)
+        gradient[i] = 0.0
+        gradient[i, j] = way
+        drifts[i] = _SLIP * constants.velocity_max[j] - way * turn.velocities[j]
+        pairs[i, 0], pairs[i, 1] = turn.link, turn.obstacle
     for i in range(inner):
         gradient[outer + i], reserves[outer + i] = own.gradient[i], own.distance[i]
         pairs[outer + i] = constants.self_pairs[own.pairs[i]]
@@ -726,7 +754,7 @@ def _desired(
     maps: Fields[Whitening], constants: Fields[_Arm], settings: Fields[_Settings],
     previous: Vector, known_at: OutVector, known: OutVector, fixed_gain: bool, has_path: bool,
     path: Vector, by_joints: bool, joint_clearance_index: float, joint_clearance: Vector,
-    dt: float,
+    turn_velocities: Vector, turn_link: int, turn_obstacle: int, dt: float,
 ) -> _Desired:
     """Return J⁺ẋ + k P∇H, and the barriers around it.
 
@@ -741,6 +769,7 @@ def _desired(
             null-space part then is the homogeneous solution; and it.
         by_joints, joint_clearance_index, joint_clearance: H_w and ∇H_w to be used instead of
             those over whole links.
+        turn_velocities, turn_link, turn_obstacle: see `Turn`.
         dt: [s].
     """
     arm, maps, plain = Kinematics(*arm), Whitening(*maps), constants
@@ -784,7 +813,8 @@ def _desired(
     least_norm, homogeneous = scaling * least_norm, scaling * (factor * projected)
     dq = least_norm + homogeneous  # Eq. 1
 
-    barriers = _barriers(arm, parts, near, own, previous, constants, maps, p, dt)
+    turn = Turn(turn_velocities.copy(), turn_link, turn_obstacle)
+    barriers = _barriers(arm, parts, near, own, turn, previous, constants, maps, p, dt)
     smallest = parts.singular_values[-1]
     admissible = smallest >= p.damping_threshold and safety.admissible(
         dq, arm.q, previous, constants.positions, constants.velocity_max,

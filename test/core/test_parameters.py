@@ -27,15 +27,16 @@ CHANGES = {
     'clearance_margin': 0.05, 'barrier_gain': 0.5, 'path_priority': 'strict',
     'horizon': 0.5, 'horizon_held': 0.2, 'horizon_nodes': 3,
     'obstacle_lead': 0.5, 'singularity_margin': 1.2, 'self_collision_margin': 0.3,
+    'evasion_horizon': 0.0,
 }
 
 
 def motion(parameters, start=(0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1), axes=None,
-           drift=(0.0, 0.0, 0.0), known=False):
+           other=(0.05, 0.5, 0.5), drift=(0.0, 0.0, 0.0), known=False):
     robot = make_paper_arm(**({'axes': axes} if axes else {}))
     scene = Scene.of([
         Obstacle('o', np.array([0, 0.55, 0.45]), np.array([0.05, 0.03, 0.03])),
-        Obstacle('p', np.array([0.05, 0.5, 0.5]), np.array([0.05, 0.03, 0.03]), velocity=drift)])
+        Obstacle('p', np.array(other), np.array([0.05, 0.03, 0.03]), velocity=drift)])
     planner = Planner(robot, parameters)
     twist = np.array([-0.1, -0.2, 0.3, 0.0, 0.5, 0.0])
     ahead = (lambda times: np.tile(twist, (len(times) - 1, 1))) if known else None
@@ -66,6 +67,8 @@ def test_every_parameter_has_an_effect(name):
         options['known'] = True
     if name in ('path_priority', 'obstacle_lead'):
         options['drift'] = (-0.5, 0.5, -0.5)
+    if name == 'evasion_horizon':
+        options |= {'other': (0.12, 0.3, 0.15), 'drift': (-0.3, 0.0, 0.0)}
     before = motion(base, **options)
     after = motion(replace(base, **{name: CHANGES[name]}), **options)
     assert np.abs(before - after).max() > 1e-6
