@@ -83,19 +83,20 @@ def derivative_times(
     for j in range(n):
         for row in range(6):
             after[row] += jacobian[row, j] * dq[j]
-    total = after.copy()
+    # In tool axes w_k × J q̇ is taken off.
+    total = after.copy() if in_tool else np.zeros(6)
     full = np.empty(6)
     for k in range(n):
-        v, w = jacobian[:3, k], jacobian[3:, k]
-        lean = total if in_tool else np.zeros(6)
-        for part in range(2):
-            x = after[3 * part:3 * part + 3] - lean[3 * part:3 * part + 3]
-            full[3 * part] = w[1] * x[2] - w[2] * x[1]
-            full[3 * part + 1] = w[2] * x[0] - w[0] * x[2]
-            full[3 * part + 2] = w[0] * x[1] - w[1] * x[0]
-        full[0] += before[1] * v[2] - before[2] * v[1]
-        full[1] += before[2] * v[0] - before[0] * v[2]
-        full[2] += before[0] * v[1] - before[1] * v[0]
+        v1, v2, v3, w1, w2, w3 = jacobian[:, k]
+        for part in range(0, 6, 3):
+            x = after[part] - total[part]
+            y = after[part + 1] - total[part + 1]
+            z = after[part + 2] - total[part + 2]
+            full[part], full[part + 1], full[part + 2] = (
+                w2 * z - w3 * y, w3 * x - w1 * z, w1 * y - w2 * x)
+        full[0] += before[1] * v3 - before[2] * v2
+        full[1] += before[2] * v1 - before[0] * v3
+        full[2] += before[0] * v2 - before[1] * v1
         for i in range(len(rows)):
             row = rows[i]
             if in_tool:
@@ -106,8 +107,9 @@ def derivative_times(
                 columns[i, k] = full[row]
         for row in range(6):
             after[row] -= jacobian[row, k] * dq[k]
-        for axis in range(3):
-            before[axis] += w[axis] * dq[k]
+        before[0] += w1 * dq[k]
+        before[1] += w2 * dq[k]
+        before[2] += w3 * dq[k]
     return columns
 
 
