@@ -42,6 +42,8 @@ def unavoidable(robot: Robot, task: Task) -> bool:
     slack = 0.5 * _ROUND * sum(
         np.linalg.norm(np.diff(ends, axis=1 + axis), axis=-1).max(axis=(0, 1, 2))
         for axis in range(_JOINTS))
+    middles = ends.mean(axis=(0, 1, 2))
+    reaches = np.linalg.norm(ends - middles, axis=-1).max(axis=(0, 1, 2))
     links = [i for i, moves in enumerate(robot.moves)
              if not moves[_JOINTS:].any() and robot.capsules[i].radius >= slack[i]]
 
@@ -49,7 +51,13 @@ def unavoidable(robot: Robot, task: Task) -> bool:
         chosen = np.flatnonzero(cells)
         free = np.ones(len(chosen), dtype=bool)
         for i in links:
-            scene = Scene.of([_within(o, robot.capsules[i], slack[i]) for o in obstacles])
+            capsule = robot.capsules[i]
+            scene = Scene.of([
+                _within(o, capsule, slack[i]) for o in obstacles
+                if np.linalg.norm(o.center - middles[i])
+                <= reaches[i] + capsule.radius + o.semi_axes.max()])
+            if not scene.names:
+                continue
             pairs = link_clearance(
                 whitening(scene, np.zeros(1)), arms.segment_start[chosen, i:i + 1],
                 arms.segment_end[chosen, i:i + 1], np.zeros(len(chosen)))
