@@ -148,7 +148,8 @@ class Evasion:
             at, _ = best(turns, _BETTER * shortage)
             if at >= 0:
                 self._target = q + turns[at]
-        assert self._target is not None
+        if self._target is None:  # obstacles too large for numbers
+            return NO_TURN
         _head_for(self._target - q, self._joints, velocities, dt)
         return Turn(velocities, link, obstacle)
 

@@ -147,3 +147,13 @@ def test_only_what_is_on_its_way_into_a_link_makes_it_turn(panda):
     # Where the path is being left, that leads the right way.
     assert turn_of(
         panda, evasion_of(panda), q, comes(hand, [0.0, 0.3, 0.0]), leaving=True) is not NO_TURN
+
+
+@pytest.mark.parametrize('size', [1e-3, 1e3, 1e150, 1e200])
+def test_absurd_obstacles_raise_nothing(panda, size):
+    q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
+    scene = Scene.of([Obstacle('o', np.zeros(3), np.full(3, size),
+                               velocity=np.array([size, 0.0, 0.0]))])
+    turn = turn_of(panda, evasion_of(panda), q, scene, leaving=True)
+    assert np.isfinite(turn.velocities).all()
+    assert (np.abs(turn.velocities) <= panda.velocity_max[:len(turn.velocities)]).all()
