@@ -22,7 +22,9 @@ import numpy.typing as npt
 
 from redundant_planner.core.compiled import compiled, Fields, Indices, Matrix, OutVector, Vector
 from redundant_planner.core.obstacles import Whitening
+from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import Kinematics, Robot
+from redundant_planner.core.self_collision import nearest_parameters
 
 Array = npt.NDArray[np.float64]
 
@@ -82,10 +84,13 @@ class _Joints(NamedTuple):
 class Evasion:
     """Turns of the first joints of one arm; remembers the one that is being made."""
 
-    def __init__(self, robot: Robot, position_min: Array, position_max: Array) -> None:
-        """Prepare for an arm whose joints may go from (n,) to (n,) [rad, m]."""
+    def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
+        """Prepare for an arm, and what is to be kept from obstacles."""
+        self._horizon = parameters.evasion_horizon
+        self._margin, self._lead = parameters.clearance_margin, parameters.obstacle_lead
         count = min(_TURNED, robot.n)
-        self._range = position_min[:count], position_max[:count]
+        self._position_min = robot.position_min[:count] + parameters.position_margin
+        self._position_max = robot.position_max[:count] - parameters.position_margin
         moved_by = (robot.moves > 0.0).sum(axis=1)
         joints = _Joints(
             _SPEED * robot.velocity_max[:count], _ACCELERATION * robot.acceleration_max[:count],
@@ -106,52 +111,48 @@ class Evasion:
         self._next = 0
 
     def turn(
-        self, arm: Kinematics, maps: Whitening, previous: Array, horizon: float, margin: float,
-        lead: float, leaving: bool, dt: float,
+        self, arm: Kinematics, maps: Whitening, previous: Array, leaving: bool, dt: float,
     ) -> Turn:
         """Return what the first joints shall do.
 
         Args:
             arm: its posture.
-            maps: the obstacles, larger by what is kept from them,
-            margin: from all [m],
-            lead: and from those that move, by the way that they make in this time [s].
+            maps: the obstacles, larger by the clearance margin and by the way that those that
+                move make in `obstacle_lead`.
             previous: (n,) velocity of the last tick [rad/s, m/s].
             leaving: whether the arm is leaving its path already.
-            horizon: for how long obstacles are taken to go on as they do [s].
             dt: [s].
         """
         plain, obstacles = tuple(arm), tuple(maps)
         if self._target is None:
-            kept, threatened = margin, self._joints if leaving else self._first
+            kept, threatened = self._margin, self._joints if leaving else self._first
         else:
             kept, threatened = -_OVER, self._joints
-        link, obstacle = _threat(plain, obstacles, threatened, horizon, kept, lead)
+        link, obstacle = _threat(plain, obstacles, threatened, self._horizon, kept, self._lead)
         if link < 0:
             self.reset()
             return NO_TURN
 
-        count = len(self._range[0])
+        count = len(self._position_min)
         q, velocities = arm.q[:count], previous[:count].copy()
-        low, high = self._range[0] - q, self._range[1] - q
 
         def best(turns: Array, limit: float) -> tuple[int, float]:
             return _best(
-                plain, obstacles, self._joints, velocities, turns, horizon, _ENOUGH, limit)
+                plain, obstacles, self._joints, velocities, turns, self._horizon, _ENOUGH, limit)
 
         shortage = np.inf
         if self._target is not None:
             _, shortage = best(self._target[None] - q, np.inf)
         if shortage > _ENOUGH ** 2:
-            turns = np.minimum(np.maximum(self._batches[self._next], low), high)
+            turns = np.minimum(np.maximum(
+                self._batches[self._next], self._position_min - q), self._position_max - q)
             self._next = (self._next + 1) % len(self._batches)
             at, _ = best(turns, _BETTER * shortage)
             if at >= 0:
                 self._target = q + turns[at]
         if self._target is None:  # obstacles too large for numbers
             return NO_TURN
-        _head_for(self._target - q, self._joints, velocities, dt)
-        return Turn(velocities, link, obstacle)
+        return Turn(_heading(self._target - q, velocities, self._joints, dt), link, obstacle)
 
 
 @compiled
@@ -162,8 +163,7 @@ def _threat(
     """Return the link that an obstacle's course leads into if it stands still, and the obstacle.
 
     Of several the one that would be hit deepest, −1 twice if there is none. The course is a
-    segment, so where the inflated ellipsoid is a ball it is segment against segment, in closed
-    form (Ericson, Real-Time Collision Detection, 5.1.9).
+    segment, so where the inflated ellipsoid is a ball it is segment against segment.
 
     Args:
         arm, maps, horizon, lead: as for `Evasion.turn`.
@@ -188,9 +188,7 @@ def _threat(
                 along, course, gap = along * scale, course * scale, gap * scale
                 a, b, c = a + along * along, b + along * course, c + along * gap
                 e, f, g = e + course * course, f + course * gap, g + gap * gap
-            s = min(max((b * f - c * e) / max(a * e - b * b, _TINY), 0.0), 1.0)
-            t = min(max((b * s + f) / max(e, _TINY), 0.0), 1.0)
-            s = min(max((b * t - c) / max(a, _TINY), 0.0), 1.0)
+            s, t = nearest_parameters(a, b, c, e, f)
             squared = g + s * s * a + t * t * e + 2.0 * (s * c - t * f - s * t * b)
             distance = (math.sqrt(max(squared, 0.0)) - 1.0) * maps.smallest[link, obstacle]
             depth = distance + kept + lead * maps.speeds[obstacle]
@@ -200,19 +198,28 @@ def _threat(
 
 
 @compiled
-def _head_for(rest: Vector, joints: Fields[_Joints], velocities: OutVector, dt: float) -> None:
-    """Change velocities (k,) towards those that end at the rest (k,) of a turn."""
-    joints = _Joints(*joints)
+def _next_speed(
+    rest: float, speed: float, speed_max: float, acceleration_max: float, dt: float,
+) -> float:
+    """Return a joint's velocity after dt that has this rest of its turn to go [rad/s, m/s]."""
+    largest = min(speed_max, math.sqrt(2.0 * acceleration_max * abs(rest)), abs(rest) / dt)
+    change = math.copysign(largest, rest) - speed
+    return speed + min(max(change, -acceleration_max * dt), acceleration_max * dt)
+
+
+@compiled
+def _heading(rest: Vector, velocities: Vector, joints: Fields[_Joints], dt: float) -> Array:
+    """Return the velocities (k,) after these, towards the end of a turn that is (k,) away."""
+    joints, following = _Joints(*joints), np.empty(len(rest))
     for j in range(len(rest)):
-        a = joints.acceleration_max[j]
-        speed = min(joints.velocity_max[j], math.sqrt(2.0 * a * abs(rest[j])), abs(rest[j]) / dt)
-        change = math.copysign(speed, rest[j]) - velocities[j]
-        velocities[j] += min(max(change, -a * dt), a * dt)
+        following[j] = _next_speed(
+            rest[j], velocities[j], joints.velocity_max[j], joints.acceleration_max[j], dt)
+    return following
 
 
 @compiled
 def _turned_about(column: Vector, turn: float, point: OutVector) -> None:
-    """Take a point (3,) along with a joint of screw [v; w] at the base origin that turns."""
+    """Take a point (3,) along with a joint of screw [v; w] at the base origin (Rodrigues)."""
     v1, v2, v3, w1, w2, w3 = column
     if w1 == 0.0 and w2 == 0.0 and w3 == 0.0:
         point[0] += turn * v1
@@ -256,6 +263,56 @@ def _distance(maps: Whitening, link: int, start: Vector, end: Vector, time: floa
 
 
 @compiled
+def _shortage(
+    arm: Kinematics, maps: Whitening, joints: _Joints, velocities: Vector, turn: Vector,
+    at_first: Vector, horizon: float, enough: float, limit: float,
+) -> float:
+    """Return what a turn (k,) falls short; more than the limit may be too little [m²].
+
+    A distance falls by no more than the link and the obstacles have moved: it is only measured
+    where it could have come down to what is enough.
+
+    Args:
+        arm, maps, horizon, joints, velocities, enough, limit: as for `_best`.
+        at_first: (c,) how much further than enough links are from obstacles now [m].
+    """
+    spare, least = at_first.copy(), np.full(len(at_first), enough)
+    speeds, turned = velocities.copy(), np.zeros(len(turn))
+    start, end = np.empty(3), np.empty(3)
+    passing = _STEP * maps.speeds.max()
+    shortage = 0.0
+    for step in range(1, math.ceil(horizon / _STEP) + 1):
+        for link in joints.links:
+            spare[link] -= passing
+        for j in range(len(turn)):
+            before = speeds[j]
+            speeds[j] = _next_speed(
+                turn[j] - turned[j], before, joints.velocity_max[j], joints.acceleration_max[j],
+                _STEP)
+            way = 0.5 * _STEP * (before + speeds[j])
+            turned[j] += way
+            for link in joints.links:
+                spare[link] -= joints.levers[link, j] * abs(way)
+        for link in joints.links:
+            if spare[link] > 0.0:
+                continue
+            start[:], end[:] = arm.segment_start[link], arm.segment_end[link]
+            for j in range(len(turn) - 1, -1, -1):
+                if joints.moves[link, j] > 0.0:
+                    _turned_about(arm.columns[:, j], turned[j], start)
+                    _turned_about(arm.columns[:, j], turned[j], end)
+            distance = _distance(maps, link, start, end, step * _STEP)
+            spare[link] = distance - enough
+            if distance < least[link]:
+                shortage += joints.shares[link] * (
+                    (enough - distance) ** 2 - (enough - least[link]) ** 2)
+                least[link] = distance
+        if shortage >= limit:
+            break
+    return shortage
+
+
+@compiled
 def _best(
     arm: Fields[Kinematics], maps: Fields[Whitening], joints: Fields[_Joints],
     velocities: Vector, turns: Matrix, horizon: float, enough: float, limit: float,
@@ -263,9 +320,7 @@ def _best(
     """Return the first turn that keeps clear, else the one that falls least short of that.
 
     What a turn falls short is the sum over links of their share times (enough − smallest
-    distance)²: a link that cannot be saved costs the others nothing. A distance falls by no more
-    than the link and the obstacles have moved: it is only measured where it could have come down
-    to what is enough.
+    distance)²: a link that cannot be saved costs the others nothing.
 
     Args:
         arm, maps, horizon: as for `Evasion.turn`.
@@ -278,46 +333,15 @@ def _best(
     Returns:
         The turn's index, −1 where none counts, and what it falls short [m²].
     """
-    arm, maps, plain, joints = Kinematics(*arm), Whitening(*maps), joints, _Joints(*joints)
-    count, links = turns.shape[1], joints.links
-    passing = _STEP * maps.speeds.max()
-    least, spare, at_first = np.empty((3, len(joints.moves)))
-    start, end = np.empty(3), np.empty(3)
-    for link in links:
+    arm, maps, joints = Kinematics(*arm), Whitening(*maps), _Joints(*joints)
+    at_first = np.zeros(len(joints.moves))
+    for link in joints.links:
         at_first[link] = _distance(
             maps, link, arm.segment_start[link], arm.segment_end[link], 0.0) - enough
-    turned, speeds, rest = np.empty((3, count))
     chosen, smallest = -1, limit
     for i in range(len(turns)):
-        turned[:], speeds[:], spare[:], least[:] = 0.0, velocities, at_first, enough
-        shortage = 0.0
-        for step in range(1, math.ceil(horizon / _STEP) + 1):
-            rest[:] = turns[i] - turned
-            before = speeds.copy()
-            _head_for(rest, plain, speeds, _STEP)
-            for link in links:
-                spare[link] -= passing
-            for j in range(count):
-                way = 0.5 * _STEP * (before[j] + speeds[j])
-                turned[j] += way
-                for link in links:
-                    spare[link] -= joints.levers[link, j] * abs(way)
-            for link in links:
-                if spare[link] > 0.0:
-                    continue
-                start[:], end[:] = arm.segment_start[link], arm.segment_end[link]
-                for j in range(count - 1, -1, -1):
-                    if joints.moves[link, j] > 0.0:
-                        _turned_about(arm.columns[:, j], turned[j], start)
-                        _turned_about(arm.columns[:, j], turned[j], end)
-                distance = _distance(maps, link, start, end, step * _STEP)
-                spare[link] = distance - enough
-                if distance < least[link]:
-                    shortage += joints.shares[link] * (
-                        (enough - distance) ** 2 - (enough - least[link]) ** 2)
-                    least[link] = distance
-            if shortage >= smallest:
-                break
+        shortage = _shortage(
+            arm, maps, joints, velocities, turns[i], at_first, horizon, enough, smallest)
         if shortage < smallest:
             chosen, smallest = i, shortage
         if smallest == 0.0:

@@ -301,8 +301,7 @@ class Planner:
                     robot.position_min + margin, robot.position_max - margin)
             for duration in (parameters.horizon, parameters.horizon_held))
         self._horizon: Horizon | None = None
-        self._evasion = Evasion(
-            robot, robot.position_min + margin, robot.position_max - margin)
+        self._evasion = Evasion(robot, parameters)
         self._maps_of = None
         self._around: Surroundings | None = None
         # Of the last tick: where the arm was, and the tick's length.
@@ -373,9 +372,7 @@ class Planner:
         turn = NO_TURN
         if (self._in_motion and p.safety_filter and p.path_priority == 'yield'
                 and p.evasion_horizon > 0.0):
-            turn = self._evasion.turn(
-                arm, maps, self._previous, p.evasion_horizon, p.clearance_margin,
-                p.obstacle_lead, self._leaving, dt)
+            turn = self._evasion.turn(arm, maps, self._previous, self._leaving, dt)
         else:
             self._evasion.reset()
         shortest = None
@@ -390,7 +387,7 @@ class Planner:
             self._previous, self._known_at, self._known, p.method == 'gradient_projection',
             shortest is not None, self._previous if shortest is None else shortest,
             by_joints is not None, *(by_joints or (0.0, self._previous)),
-            turn.velocities, turn.link, turn.obstacle, dt)
+            tuple(turn), dt)
 
         dq, scale, stage, reason = desired.dq, 1.0, safety.Stage.DESIRED, ''
         task = desired.task
@@ -754,7 +751,7 @@ def _desired(
     maps: Fields[Whitening], constants: Fields[_Arm], settings: Fields[_Settings],
     previous: Vector, known_at: OutVector, known: OutVector, fixed_gain: bool, has_path: bool,
     path: Vector, by_joints: bool, joint_clearance_index: float, joint_clearance: Vector,
-    turn_velocities: Vector, turn_link: int, turn_obstacle: int, dt: float,
+    turn: Fields[Turn], dt: float,
 ) -> _Desired:
     """Return J⁺ẋ + k P∇H, and the barriers around it.
 
@@ -769,7 +766,7 @@ def _desired(
             null-space part then is the homogeneous solution; and it.
         by_joints, joint_clearance_index, joint_clearance: H_w and ∇H_w to be used instead of
             those over whole links.
-        turn_velocities, turn_link, turn_obstacle: see `Turn`.
+        turn: of the first joints, out of an obstacle's course.
         dt: [s].
     """
     arm, maps, plain = Kinematics(*arm), Whitening(*maps), constants
@@ -813,8 +810,7 @@ def _desired(
     least_norm, homogeneous = scaling * least_norm, scaling * (factor * projected)
     dq = least_norm + homogeneous  # Eq. 1
 
-    turn = Turn(turn_velocities.copy(), turn_link, turn_obstacle)
-    barriers = _barriers(arm, parts, near, own, turn, previous, constants, maps, p, dt)
+    barriers = _barriers(arm, parts, near, own, Turn(*turn), previous, constants, maps, p, dt)
     smallest = parts.singular_values[-1]
     admissible = smallest >= p.damping_threshold and safety.admissible(
         dq, arm.q, previous, constants.positions, constants.velocity_max,

@@ -38,11 +38,7 @@ class LinkPairs(NamedTuple):
 
 
 def link_distances(start: Array, end: Array, radii: Array, links: Indices) -> LinkPairs:
-    """Return the distances of pairs of capsules.
-
-    With d₁, d₂ along the segments and r from the second start to the first, the nearest
-    parameters without ends solve a 2 × 2 system; the second is clipped to its segment and the
-    first is then the best for it (Ericson, Real-Time Collision Detection, 5.1.9).
+    """Return the distances of pairs of capsules, by the nearest points of their segments.
 
     Args:
         start, end: (c, 3) segments in the base frame [m].
@@ -60,6 +56,23 @@ def _clipped(value: float) -> float:
 
 
 @compiled
+def nearest_parameters(a: float, b: float, c: float, e: float, f: float) -> tuple[float, float]:
+    """Return where two segments are nearest to each other: 0 at a start, 1 at an end.
+
+    With d₁, d₂ along the segments and r from the second start to the first, the nearest
+    parameters without ends solve a 2 × 2 system; the second is clipped to its segment and the
+    first is then the best for it (Ericson, Real-Time Collision Detection, 5.1.9).
+
+    Args:
+        a, b, c, e, f: d₁·d₁, d₁·d₂, d₁·r, d₂·d₂ and d₂·r [m²].
+    """
+    # Parallel segments, and points, have many nearest points: from any s the rest is exact.
+    s = _clipped((b * f - c * e) / max(a * e - b * b, _TINY))
+    t = _clipped((b * s + f) / max(e, _TINY))
+    return _clipped((b * t - c) / max(a, _TINY)), t
+
+
+@compiled
 def _link_distances(
     start: Matrix, end: Matrix, radii: Vector, links: IndexPairs, distance: OutVector,
     points: OutStack,
@@ -73,10 +86,7 @@ def _link_distances(
             d2 = end[other, axis] - start[other, axis]
             r = start[one, axis] - start[other, axis]
             a, b, c, e, f = a + d1 * d1, b + d1 * d2, c + d1 * r, e + d2 * d2, f + d2 * r
-        # Parallel segments, and points, have many nearest points: from any s the rest is exact.
-        s = _clipped((b * f - c * e) / max(a * e - b * b, _TINY))
-        t = _clipped((b * s + f) / max(e, _TINY))
-        s = _clipped((b * t - c) / max(a, _TINY))
+        s, t = nearest_parameters(a, b, c, e, f)
         squared = 0.0
         for axis in range(3):
             points[pair, 0, axis] = start[one, axis] + s * (end[one, axis] - start[one, axis])

@@ -9,8 +9,11 @@ import pytest
 from redundant_planner.core import evasion
 from redundant_planner.core.evasion import Evasion, NO_TURN
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.parameters import PlannerParameters
 
-HORIZON, MARGIN, LEAD = 2.0, 0.01, 0.1
+PARAMETERS = PlannerParameters(evasion_horizon=2.0, clearance_margin=0.01, obstacle_lead=0.1)
+HORIZON, MARGIN = PARAMETERS.evasion_horizon, PARAMETERS.clearance_margin
+LEAD = PARAMETERS.obstacle_lead
 
 
 def passing(robot, random, count=2, speed=0.3):
@@ -32,7 +35,7 @@ def maps_of(robot, scene):
 
 
 def evasion_of(robot):
-    return Evasion(robot, robot.position_min, robot.position_max)
+    return Evasion(robot, PARAMETERS)
 
 
 def joints_of(robot):
@@ -77,10 +80,10 @@ def test_a_course_into_a_link_is_found(panda):
 
 def shortage_of(robot, joints, q, velocities, maps, turn, enough):
     """What a turn falls short, every link measured at every step."""
-    turned, speeds, least = np.zeros(2), velocities.copy(), np.full(len(robot.capsules), enough)
+    turned, speeds, least = np.zeros(2), velocities, np.full(len(robot.capsules), enough)
     for step in range(1, round(HORIZON / evasion._STEP) + 1):
-        before = speeds.copy()
-        evasion._head_for(turn - turned, tuple(joints), speeds, evasion._STEP)
+        before = speeds
+        speeds = evasion._heading(turn - turned, before, tuple(joints), evasion._STEP)
         turned += 0.5 * evasion._STEP * (before + speeds)
         arm = robot.kinematics(q + np.pad(turned, (0, robot.n - 2)))
         distance = link_clearance(maps, arm.segment_start[None], arm.segment_end[None],
@@ -114,8 +117,8 @@ def test_a_turn_keeps_the_limits_and_ends_where_it_should(panda):
     joints, turned, speeds = joints_of(panda), np.zeros(2), np.array([1.0, -0.5])
     turn, dt = np.array([0.6, 0.9]), 0.004
     for _ in range(500):
-        before = speeds.copy()
-        evasion._head_for(turn - turned, tuple(joints), speeds, dt)
+        before = speeds
+        speeds = evasion._heading(turn - turned, before, tuple(joints), dt)
         turned += dt * speeds
         assert (np.abs(speeds) <= panda.velocity_max[:2]).all()
         assert (np.abs(speeds - before) <= panda.acceleration_max[:2] * dt).all()
@@ -124,8 +127,8 @@ def test_a_turn_keeps_the_limits_and_ends_where_it_should(panda):
 
 
 def turn_of(robot, planner, q, scene, leaving=False):
-    return planner.turn(robot.kinematics(q), maps_of(robot, scene), np.zeros(robot.n), HORIZON,
-                        MARGIN, LEAD, leaving, 0.004)
+    return planner.turn(robot.kinematics(q), maps_of(robot, scene), np.zeros(robot.n), leaving,
+                        0.004)
 
 
 def test_only_what_is_on_its_way_into_a_link_makes_it_turn(panda):
