@@ -20,6 +20,7 @@ from redundant_planner.core.compiled import (
     IndexPairs,
     Indices,
     Matrix,
+    OutMatrix,
     OutVector,
     Vector,
 )
@@ -152,21 +153,23 @@ class _Task(NamedTuple):
         back: (m,) what leads back to the reference pose.
         turning: (m,) what comes of J's turning within the tick, ½ dt J̇ q̇.
         error: (6,) reference pose minus the tip's.
-        reference: the reference pose, which is brought along when it is out of reach.
+        position, rotation: the reference pose, which is brought along when it is out of reach.
     """
 
     wanted: Vector
     back: Vector
     turning: Vector
     error: Vector
-    reference: Pose
+    position: Vector
+    rotation: Matrix
 
 
 class _Barriers(NamedTuple):
     """What must not be used up in a tick.
 
     Attributes:
-        gradient, drift, reserve, spare: see `safety.Barriers`.
+        gradient: see `safety.Barriers`.
+        terms: (3, b) their drift, reserve and spare, see there.
         soft: how many of the last are not urgent, see there: one that keeps away from a
             singularity, and one on the speed of null-space motion.
         near_singular: whether the former is among them.
@@ -176,9 +179,7 @@ class _Barriers(NamedTuple):
     """
 
     gradient: Matrix
-    drift: Vector
-    reserve: Vector
-    spare: Vector
+    terms: Matrix
     soft: int
     near_singular: bool
     intruded: bool
@@ -203,8 +204,8 @@ class _Desired(NamedTuple):
     factor: float
     clearance_index: float
     manipulability: float
-    barriers: _Barriers
-    task: _Task
+    barriers: Fields[_Barriers]
+    task: Fields[_Task]
     nearest_link: int
     nearest_obstacle: int
     nearest_clearance: float
@@ -382,15 +383,15 @@ class Planner:
 
         # ẋ and J⁺ẋ + k P∇H: Eqs. 1, 2 and 18.
         by_joints = self._clearance_over_joints(arm, scene)
-        desired = _desired(
+        desired = _Desired(*_desired(
             tuple(arm), *reference, command, tuple(maps), self._arm, self._settings,
             self._previous, self._known_at, self._known, p.method == 'gradient_projection',
             shortest is not None, self._previous if shortest is None else shortest,
             by_joints is not None, *(by_joints or (0.0, self._previous)),
-            tuple(turn), dt)
+            tuple(turn), dt))
 
         dq, scale, stage, reason = desired.dq, 1.0, safety.Stage.DESIRED, ''
-        task = desired.task
+        task = _Task(*desired.task)
         followed = task.wanted
         if not p.safety_filter:
             followed = arm.jacobian @ dq + task.turning - task.back
@@ -404,8 +405,8 @@ class Planner:
         if fallback:
             reason = '; '.join(filter(None, (
                 'no joint path ahead was found: dynamic_factor steps in', reason)))
-        self._reference = drift.integrate(
-            task.reference, robot.full_twist(followed), dt, robot.in_tool)
+        _take_along(task.position, task.rotation, followed, robot.rows, robot.in_tool, dt)
+        self._reference = Pose(task.position, task.rotation)
         self._path_velocity = followed
         self._previous = dq
         self._leaving = stage in (safety.Stage.YIELDING, safety.Stage.FORCED)
@@ -451,9 +452,9 @@ class Planner:
             twists = continued(command, growth, middles(times))
         else:
             twists = self._controlled * ahead(times)
-        reference = _task(arm, reference, command, self._previous, _Arm(*self._arm),
-                          self._settings, dt).reference
-        poses = poses_ahead(reference, twists, times, self.robot.in_tool)
+        task = _task(arm, reference, command, self._previous, _Arm(*self._arm), self._settings,
+                     dt)
+        poses = poses_ahead(Pose(task.position, task.rotation), twists, times, self.robot.in_tool)
         steps = _FIRST_STEPS if first and ahead is not None else 1
         assert self._maps_of is not None
         return horizon.advance(arm.q, poses, self._maps_of[1], dt, steps)
@@ -504,12 +505,11 @@ class Planner:
         self, desired: _Desired, arm: Kinematics, dt: float,
     ) -> safety.Filtered:
         """Return what comes nearest to a desired velocity that breaks a limit or a barrier."""
-        p, task, found = self._parameters, desired.task, desired.barriers
+        p, task, found = self._parameters, _Task(*desired.task), _Barriers(*desired.barriers)
+        drifts, reserves, spare = found.terms
         return safety.safe_velocity(
             desired.dq, False, arm.jacobian, task.wanted + task.back, arm.q, self._previous,
-            self._limits,
-            safety.Barriers(
-                found.gradient, found.drift, found.reserve, found.soft, found.spare),
+            self._limits, safety.Barriers(found.gradient, drifts, reserves, found.soft, spare),
             weights=self._weights, gain=p.barrier_gain,
             may_yield=found.intruded and p.path_priority == 'yield', dt=dt, feedback=task.back,
             turning=task.turning)
@@ -535,7 +535,7 @@ class Planner:
         self, barrier: int, desired: _Desired, obstacles: tuple[str, ...],
     ) -> str:
         """Name a barrier as a sentence's part."""
-        found, capsules = desired.barriers, self.robot.capsules
+        found, capsules = _Barriers(*desired.barriers), self.robot.capsules
         if barrier == len(found.pairs) and found.near_singular:
             return 'near a singularity'
         if barrier >= len(found.pairs):
@@ -581,23 +581,39 @@ def _task(
     A reference that is out of reach, or has drifted on axes that are not controlled, is brought
     along.
     """
-    p = _Settings(*settings)
+    p, rows = _Settings(*settings), constants.rows
     pose = Pose(arm.tip_position, arm.tip_rotation)
+    apart = drift.pose_error(reference, pose, constants.in_tool)
     error = np.zeros(6)
-    error[constants.rows] = drift.pose_error(
-        reference, pose, constants.in_tool)[constants.rows]
+    for row in rows:
+        error[row] = apart[row]
     kept = drift.bounded(error, p.drift_distance, p.drift_angle)
-    if len(constants.rows) < 6 or (kept != error).any():
+    if len(rows) < 6 or (kept != error).any():
         reference = drift.displaced(pose, kept, constants.in_tool)
     correction = drift.feedback(kept, p.drift_gain, p.drift_speed, p.drift_angular_speed)
     if np.abs(command).max() == 0.0 and np.abs(kept).max() < _AT_REST:
         correction[:] = 0.0
-    turning: Array = np.zeros(len(constants.rows))
+    wanted, back, turning = np.zeros((3, len(rows)))
+    for i in range(len(rows)):
+        wanted[i], back[i] = command[rows[i]], correction[rows[i]]
     if p.drift_gain > 0.0:
         # J turns while the arm moves: half of that belongs to the tick ahead.
-        turning = 0.5 * dt * rate_times(
-            arm.tip_jacobian, previous, arm.tip_rotation, constants.in_tool, constants.rows)
-    return _Task(command[constants.rows], correction[constants.rows], turning, kept, reference)
+        turning[:] = 0.5 * dt * rate_times(
+            arm.tip_jacobian, previous, arm.tip_rotation, constants.in_tool, rows)
+    return _Task(wanted, back, turning, kept, reference.position, reference.rotation)
+
+
+@compiled
+def _take_along(
+    position: OutVector, rotation: OutMatrix, followed: Vector, rows: Indices, in_tool: bool,
+    dt: float,
+) -> None:
+    """Move a reference pose by what was followed of the path, (m,)."""
+    twist = np.zeros(6)
+    for i in range(len(rows)):
+        twist[rows[i]] = followed[i]
+    pose = drift.integrate(Pose(position.copy(), rotation.copy()), twist, dt, in_tool)
+    position[:], rotation[:] = pose
 
 
 @compiled
@@ -713,7 +729,8 @@ def _barriers(
 
     count = outer + inner
     gradient, pairs = np.empty((count + soft, len(previous))), np.empty((count, 2), np.intp)
-    drifts, reserves, spare = np.zeros((3, count + soft))
+    terms = np.zeros((3, count + soft))
+    drifts, reserves, spare = terms
     for i in range(acting):
         at = near.acting[i]
         gradient[i] = near.gradient[at]
@@ -741,8 +758,7 @@ def _barriers(
         slower = 1.0 - dt / max(safety.stopping_time(previous, constants.acceleration_max), dt)
         gradient[-1] = -sway / speed
         drifts[-1] = max(fastest_sway, slower * np.sum(sway * previous) / speed)
-    return _Barriers(
-        gradient, drifts, reserves, spare, soft, near_singular, intruded, pairs, outer)
+    return _Barriers(gradient, terms, soft, near_singular, intruded, pairs, outer)
 
 
 @compiled
@@ -752,7 +768,7 @@ def _desired(
     previous: Vector, known_at: OutVector, known: OutVector, fixed_gain: bool, has_path: bool,
     path: Vector, by_joints: bool, joint_clearance_index: float, joint_clearance: Vector,
     turn: Fields[Turn], dt: float,
-) -> _Desired:
+) -> Fields[_Desired]:
     """Return J⁺ẋ + k P∇H, and the barriers around it.
 
     Args:
@@ -815,11 +831,12 @@ def _desired(
     admissible = smallest >= p.damping_threshold and safety.admissible(
         dq, arm.q, previous, constants.positions, constants.velocity_max,
         constants.acceleration_max, constants.position_margin, barriers.gradient,
-        barriers.drift, barriers.reserve, p.barrier_gain, dt)
+        barriers.terms[0], barriers.terms[1], p.barrier_gain, dt)
+    # As plain tuples: handed back to Python, they take less than half the time, too.
     return _Desired(
-        dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts), barriers,
-        task, near.nearest_link, near.nearest_obstacle, near.nearest_clearance,
-        near.nearest_distance, admissible)
+        dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts),
+        barriers[:], task[:], near.nearest_link, near.nearest_obstacle, near.nearest_clearance,
+        near.nearest_distance, admissible)[:]
 
 
 @compiled
