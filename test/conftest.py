@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+import signal
 import sysconfig
 
 import numpy as np
@@ -13,6 +14,9 @@ import pytest
 from redundant_planner.core.robot import AXES, Robot
 from redundant_planner.resources import share_directory
 from redundant_planner.robot_parameters import load_robot
+
+# Jobs that a shell runs in its background ignore SIGINT, and so would all processes started here.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROBOTS = share_directory() / 'config' / 'robots'
 EXAMPLE_ROBOTS = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share'

@@ -123,14 +123,15 @@ class PlannerParameters:
         description='Factor k of Eq. 1 for gradient_projection. Too large and the arm oscillates '
                     'about the best posture, too small and it does not evade.')
     k_alpha: float = parameter(
-        1.2, low=0.0, high=10.0, runtime=True,
+        0.9, low=0.0, high=10.0, runtime=True,
         description='Adjustment coefficient of Eq. 2 for dynamic_factor: the largest null-space '
                     'speed as a share of the least-norm speed. More of it gets past more '
                     'obstacles, on longer joint paths.')
     k_w: float = parameter(
-        1.0, low=0.0, runtime=True,
-        description='Weight of the clearance index H_w in Eq. 18. With 0 nothing but the safety '
-                    'filter minds the obstacles.')
+        30.0, low=0.0, runtime=True,
+        description='Weight of the clearance index H_w in Eq. 18: the larger, the sooner the arm '
+                    'moves away from obstacles as fast as k_alpha lets it. With 0 nothing but '
+                    'the safety filter minds them.')
     k_s: float = parameter(
         0.0, low=0.0, runtime=True,
         description='Weight of the joint-limit index H_s in Eq. 18. Large values keep joints '
@@ -152,7 +153,7 @@ class PlannerParameters:
         description='Width over which the minimum of Eq. 7 is blended between pairs; 0 is the '
                     'hard minimum, whose gradient jumps when the nearest pair changes.')
     influence_distance: float = parameter(
-        0.15, low=1e-3, unit='m', runtime=True,
+        0.1, low=1e-3, unit='m', runtime=True,
         description='Distance at which an obstacle begins to act on the null space; infinite is '
                     'Eq. 7 to the letter, where the farthest obstacle pushes hardest.')
     damping: float = parameter(
