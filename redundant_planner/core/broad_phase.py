@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 # With fewer obstacles than this, looking at all of them is as quick.
 FEW = 20
 # How much further than needed one looks, so as not to look again soon [m].
-_SLACK = 0.1
+_SLACK = 0.15
 
 
 class Surroundings(NamedTuple):
