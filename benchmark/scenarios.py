@@ -41,7 +41,7 @@ METHODS = {
     'least_norm': PlannerParameters(k_w=0.0, k_f=0.0, safety_filter=False),
     'least_norm_filtered': PlannerParameters(k_w=0.0, k_f=0.0),
     'gradient_projection': PlannerParameters(
-        method='gradient_projection', k_w=1.0, k_f=0.0, safety_filter=False),
+        method='gradient_projection', k_f=0.0, safety_filter=False),
     'dynamic_factor_unfiltered': PlannerParameters(safety_filter=False),
     'dynamic_factor': PlannerParameters(),
     'variational_held': PlannerParameters(method='variational'),

@@ -119,7 +119,7 @@ class PlannerParameters:
                     'or so that the joint path over the horizon becomes the shortest '
                     '(variational).')
     k_fixed: float = parameter(
-        6.2e-4, low=0.0, runtime=True,
+        2.1e-5, low=0.0, runtime=True,
         description='Factor k of Eq. 1 for gradient_projection. Too large and the arm oscillates '
                     'about the best posture, too small and it does not evade.')
     k_alpha: float = parameter(

@@ -832,7 +832,7 @@ def _desired(
         dq, arm.q, previous, constants.positions, constants.velocity_max,
         constants.acceleration_max, constants.position_margin, barriers.gradient,
         barriers.terms[0], barriers.terms[1], p.barrier_gain, dt)
-    # As plain tuples: handed back to Python, they take less than half the time, too.
+    # As plain tuples: they are handed back sooner, too.
     return _Desired(
         dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts),
         barriers[:], task[:], near.nearest_link, near.nearest_obstacle, near.nearest_clearance,
