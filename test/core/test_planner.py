@@ -7,6 +7,7 @@ from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
+from redundant_planner.core.drift import integrate, Pose
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
@@ -57,6 +58,22 @@ def test_equation_1_holds_term_by_term(robot):
         # Eq. 2 bounds the homogeneous part by kα times the least-norm part.
         assert (np.linalg.norm(result.homogeneous)
                 <= planner.parameters.k_alpha * np.linalg.norm(result.least_norm) * (1 + 1e-9))
+
+
+def test_the_reference_pose_is_the_command_integrated_and_the_callers_to_keep(robot):
+    random = np.random.default_rng(1)
+    planner = Planner(robot, PlannerParameters(**LETTER))
+    for q in random_postures(robot, 10):
+        planner.reset()
+        twist = robot.full_twist(robot.task_rows(0.1 * random.normal(size=6)))
+        arm = robot.kinematics(q)
+        expected = integrate(
+            Pose(arm.tip_position, arm.tip_rotation), twist, DT, robot.in_tool)
+        planner.step(q, twist, NOTHING, DT)
+        reference = planner.reference
+        planner.step(q, -twist, NOTHING, DT)
+        for found, wanted in zip(reference, expected):
+            np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
 @pytest.mark.parametrize(('gains', 'column', 'tolerance'), [
