@@ -299,6 +299,11 @@ class Horizon:
         """The planned postures (N, n) at times[1:]; None before the first tick."""
         return None if self._plan is None else self._plan.nodes.copy()
 
+    @property
+    def free(self) -> bool:
+        """Whether the plan led all the way when it was last looked at."""
+        return self._plan is not None and self._plan.admissible
+
     def reset(self) -> None:
         """Forget the plan and the survey."""
         self._plan: _Plan | None = None

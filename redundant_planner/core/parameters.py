@@ -162,6 +162,12 @@ class PlannerParameters:
     damping_threshold: float = parameter(
         0.03, low=0.0, unit='m', runtime=True,
         description='Smallest singular value of J below which damping sets in; 0 never damps.')
+    look_ahead: float = parameter(
+        1.5, low=0.0, high=10.0, unit='s', runtime=True,
+        description='dynamic_factor hands the null space over to the joint path that variational '
+                    'plans where the commanded motion, gone on with for this time, leads into '
+                    'an obstacle or a joint limit. Longer gets past more of them on shorter '
+                    'joint paths, in slower ticks; 0 leaves it at Eq. 2.')
     horizon: float = parameter(
         3.0, low=0.05, high=30.0, unit='s', runtime=True,
         description='How far variational looks ahead where it is told what will be commanded. '

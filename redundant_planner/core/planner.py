@@ -71,6 +71,13 @@ _STRAY, _STRAY_ANGLE = 2.5e-4, 2.5e-3
 _SLIP = 0.005
 # Over how long the trend of a held command is averaged [s].
 _TREND = 0.1
+# The joint path ahead is improved at most this often [s]: that takes a quarter of a millisecond.
+_PLANNING_PERIOD = 0.003
+# Among more obstacles than this it takes too long for dynamic_factor, which then does without.
+_CROWD = 50
+# How soon dynamic_factor follows the joint path ahead once it has to, and how soon it stops [s],
+# down to which share while it might come of use again.
+_HANDING_OVER, _HANDING_BACK, _WATCHING = 0.1, 1.0, 1e-3
 
 
 class Nearest(NamedTuple):
@@ -132,6 +139,7 @@ class _Settings(NamedTuple):
     k_fixed: float
     clearance_smoothing: float
     influence_distance: float
+    look_ahead: float
     damping_threshold: float
     damping: float
     singularity_margin: float
@@ -196,6 +204,7 @@ class _Desired(NamedTuple):
         barriers, task: see there.
         nearest_link, nearest_obstacle, nearest_clearance, nearest_distance: see `NearPairs`.
         admissible: whether `dq` breaks no limit and no barrier.
+        blocked: whether the least-norm motion, gone on with, leads into something.
     """
 
     dq: Vector
@@ -211,6 +220,7 @@ class _Desired(NamedTuple):
     nearest_clearance: float
     nearest_distance: float
     admissible: bool
+    blocked: bool
 
 
 class StepResult(NamedTuple):
@@ -219,8 +229,8 @@ class StepResult(NamedTuple):
     Attributes:
         dq: (n,) joint velocity command [rad/s, m/s].
         least_norm: (n,) J⁺ẋ of this tick.
-        homogeneous: (n,) k P∇H of this tick.
-        factor: k of Eq. 1.
+        homogeneous: (n,) k P∇H of this tick, or what leads along the joint path ahead.
+        factor: k of Eq. 1; 1 where a joint path ahead gives all null-space motion.
         scale: s, the share of the commanded twist that is followed.
         stage: how the safety filter came to `dq`.
         reason: one sentence: what slows or stops the arm; empty when nothing does.
@@ -250,9 +260,9 @@ class StepResult(NamedTuple):
 class Planner:
     """Velocity-level redundancy resolution for one robot.
 
-    Between ticks it remembers the last joint velocity, the reference pose, the turn that is being
-    made to evade something and when the links were last measured against each other, nothing
-    else: the same sequence of inputs gives the same sequence of outputs.
+    Between ticks it remembers the last joint velocity, the reference pose, the joint path ahead,
+    the turn that is being made to evade something and when the links were last measured against
+    each other, nothing else: the same sequence of inputs gives the same sequence of outputs.
     """
 
     def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
@@ -301,7 +311,7 @@ class Planner:
             Horizon(robot, node_times(duration, parameters.horizon_nodes), self._scaling,
                     robot.position_min + margin, robot.position_max - margin)
             for duration in (parameters.horizon, parameters.horizon_held))
-        self._horizon: Horizon | None = None
+        self._forget_path()
         self._evasion = Evasion(robot, parameters)
         self._maps_of = None
         self._around: Surroundings | None = None
@@ -314,9 +324,7 @@ class Planner:
         self._path_velocity: Array = np.zeros(self.robot.m)
         self._reference: Pose | None = None
         self._forget_links()
-        self._command: Array = np.zeros(6)
-        self._growth = 0.0
-        self._horizon = None
+        self._forget_path()
         self._evasion.reset()
         self._leaving = False
         self._around = self._last = None
@@ -325,6 +333,15 @@ class Planner:
         """Forget where the links were last measured against each other."""
         self._known_at = np.full(self.robot.n, np.nan)
         self._known = np.empty(len(_Arm(*self._arm).self_pairs))
+
+    def _forget_path(self) -> None:
+        """Forget the joint path ahead, and what it was planned for."""
+        self._horizon: Horizon | None = None
+        self._path: Array | None = None
+        self._planned = 0.0  # how long ago
+        self._guided = 0.0  # share of the null-space motion that follows it
+        self._command: Array = np.zeros(6)
+        self._growth = 0.0
 
     @property
     def reference(self) -> Pose | None:
@@ -353,7 +370,7 @@ class Planner:
             scene: the obstacles. Pass the same object while nothing changes.
             dt: time until the next tick [s].
             ahead: what will be commanded, times from now (N + 1,) [s] → mean twists (N, 6) from
-                each to the next, for the variational method; None if only the present command
+                each to the next, for the joint path ahead; None if only the present command
                 is known, which is then held.
 
         Raises:
@@ -366,7 +383,7 @@ class Planner:
         pose = Pose(arm.tip_position, arm.tip_rotation)
         reference = pose if self._reference is None else self._reference
 
-        # What there is to evade; for the variational method, the way around it.
+        # What there is to evade, and the way around it.
         self.prepare(scene)
         names, maps = self._surroundings(arm, dt)
         self._last = arm, dt
@@ -376,9 +393,9 @@ class Planner:
             turn = self._evasion.turn(arm, maps, self._previous, self._leaving, dt)
         else:
             self._evasion.reset()
-        shortest = None
-        if p.method == 'variational':
-            shortest = self._shortest_path(arm, reference, command, ahead, first, dt)
+        shortest, guided = None, 1.0 if p.method == 'variational' else self._guided
+        if guided > 0.0:
+            shortest = self._shortest_path(arm, reference, command, ahead, maps, first, dt)
         fallback = p.method == 'variational' and shortest is None
 
         # ẋ and J⁺ẋ + k P∇H: Eqs. 1, 2 and 18.
@@ -386,9 +403,13 @@ class Planner:
         desired = _Desired(*_desired(
             tuple(arm), *reference, command, tuple(maps), self._arm, self._settings,
             self._previous, self._known_at, self._known, p.method == 'gradient_projection',
-            shortest is not None, self._previous if shortest is None else shortest,
+            *((0.0, self._previous) if shortest is None else (guided, shortest)),
             by_joints is not None, *(by_joints or (0.0, self._previous)),
             tuple(turn), dt))
+
+        if p.method == 'dynamic_factor' and p.safety_filter:
+            self._hand_over(
+                commanded and desired.blocked and len(names) <= _CROWD, dt)
 
         dq, scale, stage, reason = desired.dq, 1.0, safety.Stage.DESIRED, ''
         task = _Task(*desired.task)
@@ -430,18 +451,41 @@ class Planner:
                                  self._parameters.angular_speed_max)
         return command, commanded
 
+    def _hand_over(self, blocked: bool, dt: float) -> None:
+        """Have dynamic_factor follow the joint path ahead, gradually, while it is blocked itself.
+
+        Where that path leads nowhere either, it is only kept an eye on.
+        """
+        if blocked and (self._horizon is None or self._horizon.free):
+            self._guided = min(self._guided + dt / _HANDING_OVER, 1.0)
+        else:
+            least = _WATCHING if blocked else 0.0
+            self._guided = max(self._guided - dt / _HANDING_BACK, least)
+            if self._guided == 0.0:
+                self._forget_path()
+
     def _shortest_path(
         self, arm: Kinematics, reference: Pose, command: Array, ahead: TwistAhead | None,
-        first: bool, dt: float,
+        maps: Whitening, first: bool, dt: float,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
 
         A profile that is known from the very first tick on, when the arm is at rest and nobody
         waits for a command yet, is planned thoroughly.
+
+        Args:
+            arm, reference: where the arm is, and where its tip should be.
+            command, ahead, dt: see `step`.
+            maps: what dynamic_factor goes around; variational knows all obstacles.
+            first: whether this is the very first tick.
         """
         if self.robot.n == self.robot.m:
             return np.zeros(self.robot.n)
-        growth = self._growth_of(command, dt)
+        self._planned += dt
+        if self._path is not None and self._planned < _PLANNING_PERIOD:
+            return self._path
+        elapsed, self._planned = self._planned, 0.0
+        growth = self._growth_of(command, elapsed)
         horizon = self._horizons[ahead is None]
         if horizon is not self._horizon:
             self._horizon = horizon
@@ -456,8 +500,11 @@ class Planner:
                      dt)
         poses = poses_ahead(Pose(task.position, task.rotation), twists, times, self.robot.in_tool)
         steps = _FIRST_STEPS if first and ahead is not None else 1
-        assert self._maps_of is not None
-        return horizon.advance(arm.q, poses, self._maps_of[1], dt, steps)
+        if self._parameters.method == 'variational':
+            assert self._maps_of is not None
+            maps = self._maps_of[1]
+        self._path = horizon.advance(arm.q, poses, maps, elapsed, steps)
+        return self._path
 
     def _growth_of(self, command: Array, dt: float) -> float:
         """Return the rate at which the command has been growing or fading lately [1/s]."""
@@ -677,6 +724,28 @@ def _fastest_sway(arm: Kinematics, sway: Vector, constants: _Arm) -> float:
 
 
 @compiled
+def _blocked(
+    near: NearPairs, q: Vector, motion: Vector, positions: Matrix, look_ahead: float,
+) -> bool:
+    """Return whether a motion (n,), gone on with, leads into an obstacle or a joint limit.
+
+    Clearances and positions are taken to go on changing as they do, for `look_ahead` [s].
+    """
+    if look_ahead == 0.0:
+        return False
+    for i in range(len(near.clearance)):
+        rate = near.rate[i]
+        for j in range(len(motion)):
+            rate += near.gradient[i, j] * motion[j]
+        if near.clearance[i] + look_ahead * rate < 0.0:
+            return True
+    for j in range(len(motion)):
+        if not positions[1, j] <= q[j] + look_ahead * motion[j] <= positions[0, j]:
+            return True
+    return False
+
+
+@compiled
 def _total_gradient(
     arm: Kinematics, clearance: Vector, parts: Decomposition, gains: Vector, least_norm: Vector,
     twist: Vector, constants: _Arm, p: _Settings,
@@ -765,7 +834,7 @@ def _barriers(
 def _desired(
     arm: Fields[Kinematics], position: Vector, rotation: Matrix, command: Vector,
     maps: Fields[Whitening], constants: Fields[_Arm], settings: Fields[_Settings],
-    previous: Vector, known_at: OutVector, known: OutVector, fixed_gain: bool, has_path: bool,
+    previous: Vector, known_at: OutVector, known: OutVector, fixed_gain: bool, guided: float,
     path: Vector, by_joints: bool, joint_clearance_index: float, joint_clearance: Vector,
     turn: Fields[Turn], dt: float,
 ) -> Fields[_Desired]:
@@ -778,8 +847,8 @@ def _desired(
         previous: (n,) velocity of the last tick.
         known_at, known: see `near_links`.
         fixed_gain: whether k is k_fixed instead of Eq. 2's.
-        has_path, path: whether a velocity (n,) of the shortest joint path is known, whose
-            null-space part then is the homogeneous solution; and it.
+        guided, path: the share of the homogeneous solution that is the null-space part of a
+            velocity (n,) of the shortest joint path; and it.
         by_joints, joint_clearance_index, joint_clearance: H_w and ∇H_w to be used instead of
             those over whole links.
         turn: of the first joints, out of an obstacle's course.
@@ -815,15 +884,17 @@ def _desired(
         p.influence_distance)
     if by_joints:
         level, clearance = joint_clearance_index, joint_clearance.copy()
-    if has_path:
-        factor, projected = 1.0, null_space.project(parts, path / scaling)
-    else:
+    factor, homogeneous = 1.0, np.zeros(len(path))
+    if guided < 1.0:
         gradient = _total_gradient(arm, clearance, parts, gains, least_norm, twist, constants, p)
         projected = null_space.project(parts, gradient * scaling)
         factor = p.k_fixed if fixed_gain else null_space.dynamic_factor(
             p.k_alpha, least_norm, projected)
+        homogeneous = (1.0 - guided) * factor * projected
+    if guided > 0.0:
+        homogeneous += guided * null_space.project(parts, path / scaling)
 
-    least_norm, homogeneous = scaling * least_norm, scaling * (factor * projected)
+    least_norm, homogeneous = scaling * least_norm, scaling * homogeneous
     dq = least_norm + homogeneous  # Eq. 1
 
     barriers = _barriers(arm, parts, near, own, Turn(*turn), previous, constants, maps, p, dt)
@@ -836,7 +907,8 @@ def _desired(
     return _Desired(
         dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts),
         barriers[:], task[:], near.nearest_link, near.nearest_obstacle, near.nearest_clearance,
-        near.nearest_distance, admissible)[:]
+        near.nearest_distance, admissible,
+        _blocked(near, arm.q, least_norm, constants.positions, p.look_ahead))[:]
 
 
 @compiled

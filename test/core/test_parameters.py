@@ -25,7 +25,7 @@ CHANGES = {
     'drift_angular_speed': 0.001, 'linear_speed_max': 0.1,
     'angular_speed_max': 0.1, 'safety_filter': False, 'position_margin': 0.0,
     'clearance_margin': 0.05, 'barrier_gain': 0.5, 'path_priority': 'strict',
-    'horizon': 0.5, 'horizon_held': 0.2, 'horizon_nodes': 3,
+    'look_ahead': 0.0, 'horizon': 0.5, 'horizon_held': 0.2, 'horizon_nodes': 3,
     'obstacle_lead': 0.5, 'singularity_margin': 1.2, 'self_collision_margin': 0.3,
     'evasion_horizon': 0.0,
 }
