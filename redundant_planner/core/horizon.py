@@ -30,8 +30,8 @@ from redundant_planner.core import drift, null_space
 from redundant_planner.core.compiled import compiled, Fields, Indices, Matrix, Stack, Vector
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.obstacles import clearance_gradients, link_clearance, Whitening
-from redundant_planner.core.robot import Chain, fill, Kinematics, Robot
+from redundant_planner.core.obstacles import link_clearance, near_pairs_along, Whitening
+from redundant_planner.core.robot import Chain, fill, Robot
 
 Array = npt.NDArray[np.float64]
 # Times from now (N + 1,) [s] → mean twists (N, 6) from each to the next.
@@ -216,6 +216,19 @@ class _Plan(NamedTuple):
         return self.cost + _PRICE * max(self.intrusion + _RESERVE, 0.0)
 
 
+class _Arms(NamedTuple):
+    """The fields of `Kinematics` at N postures."""
+
+    nodes: Matrix
+    columns: Stack
+    tip_position: Matrix
+    tip_rotation: Stack
+    tip_jacobian: Stack
+    jacobian: Stack
+    segment_start: Stack
+    segment_end: Stack
+
+
 class _Local(NamedTuple):
     """A plan's surroundings: q_i = base_i + w_i directions_i follows the poses to first order.
 
@@ -228,13 +241,13 @@ class _Local(NamedTuple):
         at: (p,) their nodes.
     """
 
-    base: Array
-    directions: Array
-    linear: Array
-    hessian: Array
-    gradients: Array
-    bounds: Array
-    at: npt.NDArray[np.intp]
+    base: Matrix
+    directions: Stack
+    linear: Vector
+    hessian: Matrix
+    gradients: Matrix
+    bounds: Vector
+    at: Indices
 
 
 @dataclass
@@ -290,7 +303,6 @@ class Horizon:
         self._robot, self._scaling = robot, scaling
         self._low, self._high = position_min, position_max
         self._stiffness = 1.0 / np.diff(times)
-        self._damping = _DAMPING * np.eye(robot.m)
         self._moving_on: tuple[float, Array] | None = None
         self.reset()
 
@@ -451,11 +463,6 @@ class Horizon:
                 for row in np.eye(len(self.times))]).T
         return plan._replace(nodes=self._moving_on[1] @ np.vstack((q, plan.nodes)))
 
-    def _errors(self, arms: Kinematics, poses: Poses) -> Array:
-        """Return the controlled pose errors (N, m) in the command frame."""
-        return _errors(*poses, arms.tip_position, arms.tip_rotation, self._robot.rows,
-                       self._robot.in_tool)
-
     def _least_norm_path(self, q: Array, poses: Poses) -> Array:
         """Return the postures (N, n) that follow the poses with the least motion each."""
         robot = self._robot
@@ -470,86 +477,179 @@ class Horizon:
         self, q: Array, nodes: Array, poses: Poses, maps: Whitening,
     ) -> tuple[_Plan, _Local]:
         """Measure a plan and linearise about it."""
-        robot, scaling = self._robot, self._scaling
+        robot = self._robot
         arms = robot.kinematics_along(nodes)
-        errors = self._errors(arms, poses)
-        count, m, n = arms.jacobian.shape
-        jacobian = arms.jacobian * scaling
-        transposed = jacobian.transpose(0, 2, 1)
-        dual = np.linalg.solve(jacobian @ transposed + self._damping, errors[:, :, None])
-        step = scaling * (transposed @ dual)[:, :, 0]
-        base = nodes + step
-        # Jᵀ = Q R: the last columns of Q are orthogonal to every row of J.
-        basis = np.linalg.qr(transposed, mode='complete').Q.transpose(0, 2, 1)[:, m:]
-
-        # Σ ‖Δq‖² / Δt in the coordinates w; the basis is orthonormal in the scaled joints.
-        stretch = np.diff(np.vstack((q, base)), axis=0) / scaling
-        pull = stretch * self._stiffness[:, None]
-        cost = float((stretch * pull).sum())
-        pull[:-1] -= pull[1:]
-        linear = (basis @ pull[:, :, None]).ravel()
-        hessian = np.zeros((count, n - m, count, n - m))
-        first, rows = np.arange(count), np.arange(n - m)
-        stiffness = self._stiffness.copy()
-        stiffness[:-1] += self._stiffness[1:]
-        hessian[first[:, None], rows, first[:, None], rows] = stiffness[:, None]
-        coupling = -self._stiffness[1:, None, None] * (
-            basis[:-1] @ basis[1:].transpose(0, 2, 1))
-        hessian[first[:-1], :, first[1:]] = coupling
-        hessian[first[1:], :, first[:-1]] = coupling.transpose(0, 2, 1)
-
-        pairs = link_clearance(maps, arms.segment_start, arms.segment_end, self.times[1:])
-        near = (pairs.distance < _NEAR).nonzero()
-        reserve = pairs.clearance - _RESERVE / maps.smallest
-        gradients, _ = clearance_gradients(
-            maps, pairs, near, arms.segment_start, arms.segment_end, arms.columns, robot.moves,
-            self.times[1:])
-        bounds = -reserve[near] - (gradients * step[near[0]]).sum(axis=1)
-        return (_Plan(nodes, cost, float(np.abs(errors).max()),
-                      -float(pairs.distance.min(initial=np.inf))),
-                _Local(base, basis * scaling, linear, hessian.reshape(linear.size, -1),
-                       gradients, bounds, near[0]))
+        cost, error, intrusion, local = _linearised(
+            q, tuple(arms), tuple(poses), tuple(maps), self.times, self._scaling, robot.moves,
+            robot.rows, robot.in_tool)
+        return _Plan(nodes, cost, error, intrusion), _Local(*local)
 
     def _improved(self, plan: _Plan, local: _Local) -> _Plan | None:
         """Return the QP's solution about a plan; None where it has none."""
-        count, free, _ = local.directions.shape
-        size = count * free
-        pairs = np.zeros((len(local.bounds), count, free))
-        pairs[np.arange(len(pairs)), local.at] = (
-            local.directions[local.at] @ local.gradients[:, :, None])[:, :, 0]
-        # The joint limits that this step could reach.
-        span = _TRUST * np.abs(local.directions).sum(axis=1)
-        above, below = self._high - local.base, self._low - local.base
-        at, joints = ((span > above) | (-span < below)).nonzero()
-        limits = np.zeros((len(at), count, free))
-        limits[np.arange(len(at)), at] = local.directions[at, :, joints]
-
-        high = np.concatenate((
-            np.full(size, _TRUST), np.full(len(pairs), _UNBOUNDED), above[at, joints]))
-        low = np.concatenate((np.full(size, -_TRUST), local.bounds, below[at, joints]))
-        sense = np.zeros(len(high), dtype=np.int32)
-        sense[size:] = _SOFT
-        w, _, flag, _ = daqp.solve(
-            local.hessian, local.linear,
-            np.concatenate((pairs, limits)).reshape(-1, size), high, low, sense)
+        constraints, high, low, sense = _constraints(
+            tuple(local), self._low, self._high)
+        w, _, flag, _ = daqp.solve(local.hessian, local.linear, constraints, high, low, sense)
         if flag not in (1, 2) or not np.isfinite(w).all():
             return None
+        count, free, _ = local.directions.shape
         step = (w.reshape(count, 1, free) @ local.directions)[:, 0]
         return plan._replace(nodes=local.base + step)
 
 
 @compiled
-def _errors(
-    position: Matrix, rotation: Stack, tip_position: Matrix, tip_rotation: Stack, rows: Indices,
-    in_tool: bool,
+def _pose_error(
+    poses: Poses, at: int, position: Vector, rotation: Matrix, rows: Indices, in_tool: bool,
 ) -> Array:
-    """Return the controlled errors (N, m) of N tip poses against those due."""
-    errors = np.empty((len(position), len(rows)))
-    for i in range(len(position)):
-        due = Pose(position[i].copy(), rotation[i].copy())
-        tip = Pose(tip_position[i].copy(), tip_rotation[i].copy())
-        errors[i] = drift.pose_error(due, tip, in_tool)[rows]
-    return errors
+    """Return the controlled error (m,) of a tip pose against the one due at a node."""
+    due = Pose(poses.position[at].copy(), poses.rotation[at].copy())
+    return drift.pose_error(due, Pose(position.copy(), rotation.copy()), in_tool)[rows]
+
+
+@compiled
+def _step_to_pose(orthogonal: Matrix, upper: Matrix, error: Vector) -> Array:
+    """Return the damped least-norm step Jᵀ (J Jᵀ + damping)⁻¹ e, (n,), of Jᵀ = Q [R; 0].
+
+    With J Jᵀ = Rᵀ R: a Cholesky decomposition of Rᵀ R + damping, and two substitutions.
+    """
+    m = len(error)
+    lower, dual = np.zeros((m, m)), np.empty(m)
+    for i in range(m):
+        for j in range(i + 1):
+            total = _DAMPING if i == j else 0.0
+            for k in range(j + 1):
+                total += upper[k, i] * upper[k, j] - (
+                    lower[i, k] * lower[j, k] if k < j else 0.0)
+            lower[i, j] = math.sqrt(total) if i == j else total / lower[j, j]
+    for i in range(m):
+        total = error[i]
+        for k in range(i):
+            total -= lower[i, k] * dual[k]
+        dual[i] = total / lower[i, i]
+    for i in range(m - 1, -1, -1):
+        total = dual[i]
+        for k in range(i + 1, m):
+            total -= lower[k, i] * dual[k]
+        dual[i] = total / lower[i, i]
+    step = np.zeros(len(orthogonal))
+    for i in range(m):
+        along = 0.0
+        for k in range(i, m):
+            along += upper[i, k] * dual[k]
+        for j in range(len(step)):
+            step[j] += orthogonal[j, i] * along
+    return step
+
+
+@compiled
+def _linearised(
+    q: Vector, arms: Fields[_Arms], poses: Fields[Poses], maps: Fields[Whitening], times: Vector,
+    scaling: Vector, moves: Matrix, rows: Indices, in_tool: bool,
+) -> tuple[float, float, float, Fields[_Local]]:
+    """Return a plan's cost, pose error and intrusion, see `_Plan`, and its surroundings.
+
+    Args:
+        q: (n,) where the arm is.
+        arms: at the plan's nodes.
+        poses, maps: the problem.
+        times: (N + 1,) of `Horizon`.
+        scaling: (n,) 1 / square root of the joint weights.
+        moves, rows, in_tool: see `Robot`.
+    """
+    arms, poses, maps = _Arms(*arms), Poses(*poses), Whitening(*maps)
+    count, n = arms.nodes.shape
+    free = n - len(rows)
+    size = count * free
+    base, steps, basis = np.empty((count, n)), np.empty((count, n)), np.empty((count, free, n))
+    error = 0.0
+    for i in range(count):
+        off = _pose_error(
+            poses, i, arms.tip_position[i], arms.tip_rotation[i], rows, in_tool)
+        error = max(error, np.abs(off).max())
+        orthogonal, upper = null_space.orthogonal_factors(arms.jacobian[i] * scaling)
+        steps[i] = scaling * _step_to_pose(orthogonal, upper, off)
+        base[i] = arms.nodes[i] + steps[i]
+        for w in range(free):
+            basis[i, w] = orthogonal[:, len(rows) + w]
+
+    # Σ ‖Δq‖² / Δt in the coordinates w; the basis is orthonormal in the scaled joints.
+    cost, linear, hessian = 0.0, np.zeros(size), np.zeros((size, size))
+    for i in range(count):
+        stiffness = 1.0 / (times[i + 1] - times[i])
+        for j in range(n):
+            before = q[j] if i == 0 else base[i - 1, j]
+            stretch = (base[i, j] - before) / scaling[j]
+            cost += stiffness * stretch * stretch
+            for w in range(free):
+                linear[i * free + w] += stiffness * stretch * basis[i, w, j]
+                if i > 0:
+                    linear[(i - 1) * free + w] -= stiffness * stretch * basis[i - 1, w, j]
+        for w in range(free):
+            here = i * free + w
+            hessian[here, here] += stiffness
+            if i > 0:
+                hessian[here - free, here - free] += stiffness
+                for other in range(free):
+                    there, along = (i - 1) * free + other, 0.0
+                    for j in range(n):
+                        along += basis[i, w, j] * basis[i - 1, other, j]
+                    hessian[here, there] = hessian[there, here] = -stiffness * along
+
+    near = near_pairs_along(
+        maps, arms.segment_start, arms.segment_end, arms.columns, moves, times[1:], _NEAR)
+    bounds = np.empty(len(near.clearance))
+    for i in range(len(bounds)):
+        bounds[i] = _RESERVE / near.smallest[i] - near.clearance[i]
+        for j in range(n):
+            bounds[i] -= near.gradient[i, j] * steps[near.postures[i], j]
+    local = _Local(base, basis * scaling, linear, hessian, near.gradient, bounds, near.postures)
+    return cost, error, -near.nearest, local[:]
+
+
+@compiled
+def _constraints(
+    local: Fields[_Local], low: Vector, high: Vector,
+) -> tuple[Array, Array, Array, npt.NDArray[np.int32]]:
+    """Return what bounds a step w: (c, N (n − m)) rows, their bounds after those of w, sense.
+
+    Args:
+        local: a plan's surroundings.
+        low, high: (n,) the joint limits, of which those enter that this step could reach.
+    """
+    local = _Local(*local)
+    count, free, n = local.directions.shape
+    size, pairs = count * free, len(local.bounds)
+    reachable = np.zeros((count, n), np.bool_)
+    limits = 0
+    for i in range(count):
+        for j in range(n):
+            span = 0.0
+            for w in range(free):
+                span += _TRUST * abs(local.directions[i, w, j])
+            reachable[i, j] = (span > high[j] - local.base[i, j]
+                               or -span < low[j] - local.base[i, j])
+            limits += reachable[i, j]
+    rows = np.zeros((pairs + limits, size))
+    least = np.full(size + pairs + limits, -_TRUST)
+    most = np.full(size + pairs + limits, _TRUST)
+    sense = np.zeros(size + pairs + limits, np.int32)
+    sense[size:] = _SOFT
+    for row in range(pairs):
+        at = local.at[row]
+        for w in range(free):
+            for j in range(n):
+                rows[row, at * free + w] += (
+                    local.directions[at, w, j] * local.gradients[row, j])
+        least[size + row], most[size + row] = local.bounds[row], _UNBOUNDED
+    row = pairs
+    for i in range(count):
+        for j in range(n):
+            if reachable[i, j]:
+                for w in range(free):
+                    rows[row, i * free + w] = local.directions[i, w, j]
+                least[size + row] = low[j] - local.base[i, j]
+                most[size + row] = high[j] - local.base[i, j]
+                row += 1
+    return rows, most, least, sense
 
 
 @compiled

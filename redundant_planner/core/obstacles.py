@@ -333,7 +333,7 @@ def pseudo_distance(clearance: Number) -> Number:
 
 def clearance_gradients(
     maps: Whitening, pairs: Pairs, chosen: tuple[npt.NDArray[np.intp], ...], start: Array,
-    end: Array, columns: Array, moves: Array, times: Array | None = None,
+    end: Array, columns: Array, moves: Array,
 ) -> tuple[Array, Array]:
     """Return ∂ρ/∂q and ∂ρ/∂t of the chosen pairs.
 
@@ -342,27 +342,19 @@ def clearance_gradients(
     ∂ρ/∂q_j = ∇ₓρ · v_j + (x × ∇ₓρ) · w_j for the joints that move the link.
 
     Args:
-        maps, pairs: of the same scene and posture, or postures.
-        chosen: (p,) indices of links and of obstacles; with N postures theirs come first.
-        start, end: the segments, as for `link_clearance` [m].
-        columns: (6, n) joint screws at the base origin, or (N, 6, n).
+        maps, pairs: of the same scene and posture.
+        chosen: (p,) indices of links and of obstacles.
+        start, end: (c, 3) the segments [m].
+        columns: (6, n) joint screws at the base origin.
         moves: (c, n) 1 where a joint moves a link, else 0.
-        times: as for `link_clearance`.
 
     Returns:
         (p, n) gradients in q, and (p,) rates of ρ caused by the obstacles' own motion.
     """
-    count, n = len(chosen[0]), columns.shape[-1]
-    gradient, rate = np.empty((count, n)), np.empty(count)
-    if start.ndim == 2:
-        links, obstacles = chosen
-        _clearance_gradients(
-            maps, pairs.parameter, links, obstacles, start, end, columns, moves, gradient, rate)
-    else:
-        postures, links, obstacles = chosen
-        _clearance_gradients_along(
-            maps, pairs.parameter, postures, links, obstacles, start, end, columns, moves,
-            np.zeros(len(start)) if times is None else times, gradient, rate)
+    links, obstacles = chosen
+    gradient, rate = np.empty((len(links), columns.shape[1])), np.empty(len(links))
+    _clearance_gradients(
+        maps, pairs.parameter, links, obstacles, start, end, columns, moves, gradient, rate)
     return gradient, rate
 
 
@@ -397,26 +389,12 @@ def _clearance_gradients(
     maps: Whitening, parameter: Matrix, links: Indices, obstacles: Indices, start: Matrix,
     end: Matrix, columns: Matrix, moves: Matrix, gradient: OutMatrix, rate: OutVector,
 ) -> None:
-    """Write what `clearance_gradients` returns for one posture."""
+    """Write what `clearance_gradients` returns."""
     for i in range(len(links)):
         link, obstacle = links[i], obstacles[i]
         rate[i] = _clearance_gradient(
             maps, link, obstacle, start[link], end[link], parameter[link, obstacle], columns,
             moves[link], 0.0, gradient[i])
-
-
-@compiled
-def _clearance_gradients_along(
-    maps: Whitening, parameter: Stack, postures: Indices, links: Indices, obstacles: Indices,
-    start: Stack, end: Stack, columns: Stack, moves: Matrix, times: Vector,
-    gradient: OutMatrix, rate: OutVector,
-) -> None:
-    """Write what `clearance_gradients` returns for N postures."""
-    for i in range(len(links)):
-        at, link, obstacle = postures[i], links[i], obstacles[i]
-        rate[i] = _clearance_gradient(
-            maps, link, obstacle, start[at, link], end[at, link], parameter[at, link, obstacle],
-            columns[at], moves[link], times[at], gradient[i])
 
 
 class NearPairs(NamedTuple):
@@ -488,3 +466,64 @@ def near_pairs(
     return NearPairs(
         links[:count], obstacles[:count], near, at, gradient, rates, acting[:acts], link_at,
         obstacle_at, clearance[link_at, obstacle_at] if link_at >= 0 else np.inf, least)
+
+
+class NearAlong(NamedTuple):
+    """The pairs of links and obstacles that are near at any of N postures.
+
+    Attributes:
+        postures: (p,) indices.
+        clearance: (p,) ρ.
+        smallest: (p,) what ρ is to be multiplied with for a distance [m].
+        gradient: (p, n) ∂ρ/∂q at its posture.
+        nearest: the smallest distance of all [m], infinite without obstacles.
+    """
+
+    postures: Indices
+    clearance: Vector
+    smallest: Vector
+    gradient: Matrix
+    nearest: float
+
+
+@compiled
+def near_pairs_along(
+    maps: Whitening, start: Stack, end: Stack, columns: Stack, moves: Matrix, times: Vector,
+    within: float,
+) -> NearAlong:
+    """Return the pairs that are nearer than `within` [m] at postures reached at times (N,) [s].
+
+    Args:
+        maps: the obstacles now.
+        start, end: (N, c, 3) the segments [m].
+        columns: (N, 6, n) joint screws at the base origin.
+        moves: (c, n) 1 where a joint moves a link, else 0.
+        times: (N,) from now; the obstacles have moved by then.
+        within: [m].
+    """
+    count, (links, obstacles) = len(times), maps.smallest.shape
+    shape = (count, links, obstacles)
+    clearance, distance, parameter = np.empty(shape), np.empty(shape), np.empty(shape)
+    _link_clearance_along(maps, start, end, times, clearance, distance, parameter)
+    found, nearest = 0, np.inf
+    for at in range(count):
+        for link in range(links):
+            for obstacle in range(obstacles):
+                nearest = min(nearest, distance[at, link, obstacle])
+                found += distance[at, link, obstacle] < within
+    near = NearAlong(np.empty(found, np.intp), np.empty(found), np.empty(found),
+                     np.empty((found, columns.shape[2])), nearest)
+    i = 0
+    for at in range(count):
+        for link in range(links):
+            for obstacle in range(obstacles):
+                if distance[at, link, obstacle] < within:
+                    near.postures[i] = at
+                    near.clearance[i] = clearance[at, link, obstacle]
+                    near.smallest[i] = maps.smallest[link, obstacle]
+                    _clearance_gradient(
+                        maps, link, obstacle, start[at, link], end[at, link],
+                        parameter[at, link, obstacle], columns[at], moves[link], times[at],
+                        near.gradient[i])
+                    i += 1
+    return near

@@ -409,7 +409,7 @@ class Planner:
 
         if p.method == 'dynamic_factor' and p.safety_filter:
             self._hand_over(
-                commanded and desired.blocked and len(names) <= _CROWD, dt)
+                (commanded or self._in_motion) and desired.blocked and len(names) <= _CROWD, dt)
 
         dq, scale, stage, reason = desired.dq, 1.0, safety.Stage.DESIRED, ''
         task = _Task(*desired.task)

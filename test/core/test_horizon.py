@@ -21,6 +21,8 @@ from redundant_planner.core import drift
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon import (
+    _DAMPING,
+    _step_to_pose,
     continued,
     Horizon,
     middles,
@@ -28,6 +30,7 @@ from redundant_planner.core.horizon import (
     poses_ahead,
     Preview,
 )
+from redundant_planner.core.null_space import orthogonal_factors
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -115,8 +118,13 @@ def test_the_linearisation_is_exact_to_first_order(make):
         def moved(w, nodes=nodes, local=local):
             return robot.kinematics_along(nodes + (w.reshape(3, 1, -1) @ local.directions)[:, 0])
 
-        errors = central_difference(
-            lambda w, h=horizon, p=poses: h._errors(moved(w), p), zero)
+        def off(w, poses=poses, moved=moved):
+            arms = moved(w)
+            return np.array([drift.pose_error(Pose(*due), Pose(*tip), robot.in_tool)[robot.rows]
+                             for *due, tip in zip(*poses, zip(arms.tip_position,
+                                                              arms.tip_rotation))])
+
+        errors = central_difference(off, zero)
         np.testing.assert_allclose(errors, 0.0, atol=1e-6)
         arms = robot.kinematics_along(nodes)
         pairs = link_clearance(maps, arms.segment_start, arms.segment_end, horizon.times[1:])
@@ -128,6 +136,16 @@ def test_the_linearisation_is_exact_to_first_order(make):
                 expected = slopes[at, link, obstacle].reshape(3, -1)
                 np.testing.assert_allclose(local.gradients[row], expected[at], atol=2e-5)
                 assert local.at[row] == at
+
+
+def test_the_step_to_a_pose_is_the_damped_least_norm_one(robot):
+    random = np.random.default_rng(0)
+    for q in random_postures(robot, 10):
+        jacobian, error = robot.kinematics(q).jacobian, random.normal(size=robot.m)
+        expected = jacobian.T @ np.linalg.solve(
+            jacobian @ jacobian.T + _DAMPING * np.eye(robot.m), error)
+        step = _step_to_pose(*orthogonal_factors(jacobian), error)
+        np.testing.assert_allclose(step, expected, atol=1e-9)
 
 
 def test_a_preview_is_linear_between_its_points_steps_at_equal_times_and_ends():

@@ -61,6 +61,18 @@ def test_a_direction_without_any_gain_belongs_to_the_null_space():
     np.testing.assert_allclose(ns.least_norm(parts, gains, np.array([2.0, 3.0])), [2.0, 0.0, 0.0])
 
 
+@given(st.integers(1, 6), st.integers(0, 3), st.integers(0, 6), st.integers(0, 10**6))
+def test_the_orthogonal_factors_make_up_a_jacobian_of_any_rank(m, spare, rank, seed):
+    random = np.random.default_rng(seed)
+    rank = min(rank, m)
+    jacobian = random.normal(size=(m, rank)) @ random.normal(size=(rank, m + spare))
+    orthogonal, upper = ns.orthogonal_factors(jacobian)
+    np.testing.assert_allclose(orthogonal @ orthogonal.T, np.eye(m + spare), atol=1e-12)
+    np.testing.assert_allclose(orthogonal[:, :m] @ upper, jacobian.T, atol=1e-12)
+    np.testing.assert_allclose(jacobian @ orthogonal[:, m:], 0.0, atol=1e-12)
+    assert (upper == np.triu(upper)).all()
+
+
 def test_manipulability_is_the_root_of_the_determinant(panda):
     for q in random_postures(panda, 20):
         jacobian = panda.kinematics(q).jacobian

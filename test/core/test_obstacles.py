@@ -13,6 +13,7 @@ from redundant_planner.core.obstacles import (
     clearance_gradients,
     inflated_semi_axes,
     link_clearance,
+    near_pairs_along,
     Obstacle,
     pseudo_distance,
     Scene,
@@ -133,6 +134,32 @@ def test_gradients_match_finite_differences(robot):
         moved = (all_clearances(robot, q, ahead)[2].clearance
                  - all_clearances(robot, q, behind)[2].clearance) / (2 * step)
         np.testing.assert_allclose(rate, moved[links, which], rtol=1e-5, atol=1e-5)
+
+
+def test_pairs_along_a_path_are_those_of_each_posture(robot):
+    times, within = np.array([0.1, 0.5, 2.0]), 0.2
+    for seed in range(10):
+        postures, obstacles = random_postures(robot, 3, seed), random_scene(robot, seed)
+        arms = robot.kinematics_along(postures)
+        maps = whitening(Scene.of(obstacles), [c.radius for c in robot.capsules])
+        near = near_pairs_along(maps, arms.segment_start, arms.segment_end, arms.columns,
+                                robot.moves, times, within)
+        found, nearest = 0, np.inf
+        for at, (q, time) in enumerate(zip(postures, times)):
+            there = [Obstacle(o.name, o.center + time * o.velocity, o.semi_axes, o.orientation)
+                     for o in obstacles]
+            arm, maps, pairs = all_clearances(robot, q, there)
+            chosen = (pairs.distance < within).nonzero()
+            gradient, _ = clearance_gradients(
+                maps, pairs, chosen, arm.segment_start, arm.segment_end, arm.columns,
+                robot.moves)
+            here = slice(found, found + len(gradient))
+            assert (near.postures[here] == at).all()
+            np.testing.assert_allclose(near.clearance[here], pairs.clearance[chosen], atol=1e-12)
+            np.testing.assert_allclose(near.smallest[here], maps.smallest[chosen])
+            np.testing.assert_allclose(near.gradient[here], gradient, atol=1e-9)
+            found, nearest = here.stop, min(nearest, pairs.distance.min())
+        assert found == len(near.clearance) and near.nearest == pytest.approx(nearest)
 
 
 def test_the_centre_of_an_ellipsoid_gives_finite_numbers(planar):

@@ -153,6 +153,59 @@ def test_a_pushed_arm_comes_back_smoothly(panda):
     assert (np.abs(speeds) <= panda.acceleration_max * DT + 1e-9).all()
 
 
+def test_the_null_space_is_handed_over_on_the_way_into_something_and_back_on_the_way_out(panda):
+    # A ball where the forearm is about to be.
+    up, link = np.array([0.0, 0.0, 0.08, 0.0, 0.0, 0.0]), 4
+    assert panda.capsules[link].name == 'link5'
+    plain, _ = drive(Planner(panda, PlannerParameters()), PANDA_READY, up, seconds=2.0)
+    before, after = (0.5 * (arm.segment_start[link] + arm.segment_end[link])
+                     for arm in (panda.kinematics(q) for q in (PANDA_READY, plain[-1])))
+    way = (after - before) / np.linalg.norm(after - before)
+    scene = Scene.of([Obstacle(
+        'ball', after + (panda.capsules[link].radius + 0.02) * way, np.full(3, 0.03))])
+
+    planner = Planner(panda, PlannerParameters())
+    q, shares, previous = PANDA_READY, [], np.zeros(7)
+    for i in range(1250):
+        result = planner.step(q, up if i < 500 else -up, scene, DT)
+        shares.append(planner._guided)
+        np.testing.assert_allclose(
+            panda.kinematics(q).jacobian @ result.homogeneous, 0.0, atol=1e-9)
+        assert result.scale == pytest.approx(1.0) or i % 500 < 20  # takes up speed, turns
+        assert (np.abs(result.dq - previous) <= panda.acceleration_max * DT + 1e-9).all()
+        assert result.nearest.distance > 0.0
+        q, previous = q + DT * result.dq, result.dq
+    changes = np.diff(shares, prepend=0.0)
+    assert shares[0] == 0.0 and max(shares) == 1.0 and shares[-1] == 0.0
+    assert changes.max() <= DT / 0.1 + 1e-9 and changes.min() >= -DT / 1.0 - 1e-9
+
+
+@pytest.mark.parametrize('obstacles', [0, 3])
+def test_where_nothing_lies_ahead_equation_2_is_all_there_is(panda, obstacles):
+    twist = np.array([0.02, 0.03, -0.02, 0.05, 0.0, 0.1])
+    scene = Scene.of([Obstacle(f'o{i}', np.array([1.0, 0.3 * i, 1.0]), np.full(3, 0.05))
+                      for i in range(obstacles)])
+    plain, _ = drive(
+        Planner(panda, PlannerParameters(look_ahead=0.0)), PANDA_READY, twist, scene)
+    ahead, results = drive(Planner(panda, PlannerParameters()), PANDA_READY, twist, scene)
+    np.testing.assert_array_equal(plain, ahead)
+    for result in results[1:]:
+        size = np.linalg.norm(result.least_norm)
+        projected = np.linalg.norm(result.homogeneous) / result.factor
+        assert result.factor == pytest.approx(
+            PlannerParameters().k_alpha * size / (size + projected))
+
+
+def test_where_the_joint_path_ahead_leads_nowhere_the_arm_rests_at_its_end(paper_arm):
+    """Stretched out, with the command still on: it does not go on trying."""
+    start = np.array([0.35, 0.1, 0, 0.5233, -0.5233, 1.0467, 0])
+    twist = np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.0])
+    planner = Planner(paper_arm, PlannerParameters())
+    postures, _ = drive(planner, start, twist, seconds=6.0)
+    assert np.abs(postures[-1] - postures[-250]).max() < 1e-3
+    assert planner._guided < 0.1
+
+
 def test_position_only_control_leaves_orientation_free():
     robot = make_panda(axes=AXES[:3])
     planner = Planner(robot, PlannerParameters())
