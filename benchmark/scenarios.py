@@ -39,7 +39,7 @@ DT = 0.004
 _TURN = np.deg2rad(0.5)
 METHODS = {
     'least_norm': PlannerParameters(k_w=0.0, k_f=0.0, safety_filter=False),
-    'least_norm_filtered': PlannerParameters(k_w=0.0, k_f=0.0),
+    'least_norm_filtered': PlannerParameters(k_w=0.0, k_f=0.0, look_ahead=0.0),
     'gradient_projection': PlannerParameters(
         method='gradient_projection', k_f=0.0, safety_filter=False),
     'dynamic_factor_unfiltered': PlannerParameters(safety_filter=False),

@@ -170,17 +170,17 @@ class PlannerParameters:
                     'joint paths, in slower ticks; 0 leaves it at Eq. 2.')
     horizon: float = parameter(
         3.0, low=0.05, high=30.0, unit='s', runtime=True,
-        description='How far variational looks ahead where it is told what will be commanded. '
-                    'Too short and it turns away late, as the other methods do.')
+        description='How far the joint path ahead reaches where it is known what will be '
+                    'commanded. Too short and the arm turns away late.')
     horizon_held: float = parameter(
         1.0, low=0.05, high=30.0, unit='s', runtime=True,
-        description='How far variational looks ahead where it knows the present command alone '
-                    'and takes it as held. Too long and it plans for what will not be '
+        description='How far it reaches where the present command alone is known, which is then '
+                    'taken as held. Too long and it is planned for what will not be '
                     'commanded.')
     horizon_nodes: int = parameter(
         12, low=2, high=200, runtime=True,
-        description='Postures that variational plans within the horizon. Each costs computing '
-                    'time; too few and it cuts corners.')
+        description='Postures that the joint path ahead has. Each costs computing time; too few '
+                    'and it cuts corners.')
     joint_weights: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e6,
         description='Cost of moving each joint, one value per joint, empty for 1 everywhere. '

@@ -9,6 +9,7 @@ import pytest
 
 from redundant_planner.core.drift import integrate, Pose
 from redundant_planner.core.errors import ParameterError, StateError
+from redundant_planner.core.horizon import Horizon
 from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import _Arm, _fastest_sway, _STRAY, _STRAY_ANGLE, Planner
@@ -194,6 +195,33 @@ def test_where_nothing_lies_ahead_equation_2_is_all_there_is(panda, obstacles):
         projected = np.linalg.norm(result.homogeneous) / result.factor
         assert result.factor == pytest.approx(
             PlannerParameters().k_alpha * size / (size + projected))
+
+
+def test_in_a_crowd_nothing_is_planned(panda):
+    arm = panda.kinematics(PANDA_READY)
+    center = arm.segment_end[4] + [panda.capsules[4].radius + 0.08, 0.0, 0.0]
+    one = Obstacle('ball', center, np.full(3, 0.03))
+    crowd = [one, *(Obstacle(f'o{i}', center + [0.1, 0.0, 0.001 * i], np.full(3, 0.03))
+                    for i in range(60))]
+    twist = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for obstacles, plans in (([one], True), (crowd, False)):
+        planner = Planner(panda, PlannerParameters())
+        drive(planner, PANDA_READY, twist, Scene.of(obstacles), seconds=0.3)
+        assert (planner._guided > 0.0) == plans
+
+
+def test_at_a_high_rate_not_every_tick_plans(panda, monkeypatch):
+    planned, advance = [], Horizon.advance
+    monkeypatch.setattr(Horizon, 'advance', lambda self, q, poses, maps, dt, steps: (
+        planned.append(dt) or advance(self, q, poses, maps, dt, steps)))
+    twist = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    postures = {}
+    for dt, expected in ((0.004, 0.004), (0.001, 0.003)):
+        planned.clear()
+        planner = Planner(panda, PlannerParameters(method='variational'))
+        postures[dt], _ = drive(planner, PANDA_READY, twist, seconds=0.6, dt=dt)
+        np.testing.assert_allclose(planned[1:], expected)
+    np.testing.assert_allclose(postures[0.001][-1], postures[0.004][-1], atol=2e-3)
 
 
 def test_where_the_joint_path_ahead_leads_nowhere_the_arm_rests_at_its_end(paper_arm):
