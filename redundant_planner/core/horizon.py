@@ -673,7 +673,6 @@ def _least_norm_step(
          jacobian, np.empty((links, 3)), np.empty((links, 3)))
     error = drift.pose_error(
         Pose(position.copy(), rotation.copy()), Pose(tip, turn), in_tool)[rows]
-    parts = null_space.decompose(jacobian * scaling)
-    gains = parts.singular_values / (parts.singular_values ** 2 + _DAMPING)
-    step = scaling * null_space.least_norm(parts, gains, error)
+    orthogonal, upper = null_space.orthogonal_factors(jacobian * scaling)
+    step = scaling * _step_to_pose(orthogonal, upper, error)
     return np.minimum(np.maximum(q + step, low), high)
