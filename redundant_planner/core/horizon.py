@@ -47,9 +47,9 @@ _RESERVE = 0.0005
 # a new one; further off than the second it is not worth mending [m, rad].
 _ASTRAY = 1e-2
 _LOST = 0.15
-# A plan this near to its poses and clearances counts as free [m, rad]; not being so twice in a row
-# counts, as one step mends what a change of the command has done. What else is found must be that
-# much shorter to be followed.
+# A plan this near to its poses, clearances and limits counts as free [m, rad]; not being so twice
+# in a row counts, as one step mends what a change of the command has done. What else is found must
+# be that much shorter to be followed.
 _ADMISSIBLE = 3e-3
 _PATIENCE = 2
 _SHORTER = 0.9
@@ -198,17 +198,19 @@ class _Plan(NamedTuple):
         cost: Σ ‖Δq‖² / Δt, joint weights included, when it was last looked at.
         error: how far it was off the poses [m, rad].
         intrusion: how far links were inside their clearance [m].
+        beyond: how far joints were beyond their limits [rad, m].
     """
 
     nodes: Array
     cost: float = np.inf
     error: float = np.inf
     intrusion: float = np.inf
+    beyond: float = np.inf
 
     @property
     def admissible(self) -> bool:
         """Whether the arm may follow it all the way."""
-        return max(self.error, self.intrusion) < _ADMISSIBLE
+        return max(self.error, self.intrusion, self.beyond) < _ADMISSIBLE
 
     @property
     def price(self) -> float:
@@ -482,7 +484,8 @@ class Horizon:
         cost, error, intrusion, local = _linearised(
             q, tuple(arms), tuple(poses), tuple(maps), self.times, self._scaling, robot.moves,
             robot.rows, robot.in_tool)
-        return _Plan(nodes, cost, error, intrusion), _Local(*local)
+        beyond = float(np.maximum(nodes - self._high, self._low - nodes).max())
+        return _Plan(nodes, cost, error, intrusion, beyond), _Local(*local)
 
     def _improved(self, plan: _Plan, local: _Local) -> _Plan | None:
         """Return the QP's solution about a plan; None where it has none."""

@@ -71,7 +71,7 @@ _STRAY, _STRAY_ANGLE = 2.5e-4, 2.5e-3
 _SLIP = 0.005
 # Over how long the trend of a held command is averaged [s].
 _TREND = 0.1
-# The joint path ahead is improved at most this often [s]: that takes a quarter of a millisecond.
+# The joint path ahead is improved at most this often [s]: it takes a sixth of a millisecond.
 _PLANNING_PERIOD = 0.003
 # Among more obstacles than this it takes too long for dynamic_factor, which then does without.
 _CROWD = 50

@@ -27,6 +27,7 @@ from redundant_planner.core.horizon import (
     Horizon,
     middles,
     node_times,
+    Poses,
     poses_ahead,
     Preview,
 )
@@ -136,6 +137,21 @@ def test_the_linearisation_is_exact_to_first_order(make):
                 expected = slopes[at, link, obstacle].reshape(3, -1)
                 np.testing.assert_allclose(local.gradients[row], expected[at], atol=2e-5)
                 assert local.at[row] == at
+
+
+def test_a_plan_beyond_a_joint_limit_is_not_admissible(robot):
+    limited = np.isfinite(robot.position_max)
+    low, high = (np.where(limited, x, 0.0) for x in (robot.position_min, robot.position_max))
+    inside = 0.5 * (low + high)
+    horizon, _, maps = problem(robot, inside, np.zeros(6), nodes=1)
+    for joint in limited.nonzero()[0]:
+        for reach, admissible in ((0.49, True), (0.51, False)):
+            q = inside.copy()
+            q[joint] += reach * (high - low)[joint]
+            arm = robot.kinematics(q)
+            there = Poses(arm.tip_position[None], arm.tip_rotation[None])
+            plan, _ = horizon._look(inside, q[None], there, maps)
+            assert plan.error < 1e-9 and plan.admissible == admissible
 
 
 def test_the_step_to_a_pose_is_the_damped_least_norm_one(robot):
