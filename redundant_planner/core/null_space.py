@@ -106,7 +106,7 @@ def orthogonal_factors(jacobian: Matrix) -> tuple[Array, Array]:
     """Return Q (n, n), orthogonal, and R (m, m), upper triangular, of Jᵀ = Q [R; 0].
 
     By Householder reflections: the last n − m columns of Q are orthogonal to every row of J, of
-    any rank. A fifth of the time of `decompose`, for where no singular values are asked for.
+    any rank. A third of the time of `decompose`, for where no singular values are asked for.
     """
     m, n = jacobian.shape
     rows = np.empty((n, m))

@@ -458,7 +458,7 @@ class Planner:
         """
         if blocked and (self._horizon is None or self._horizon.free):
             self._guided = min(self._guided + dt / _HANDING_OVER, 1.0)
-        else:
+        elif self._guided > 0.0:
             least = _WATCHING if blocked else 0.0
             self._guided = max(self._guided - dt / _HANDING_BACK, least)
             if self._guided == 0.0:
