@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 import time
 
-# A tick begins this share of the period before its command is due, and not longer before [s].
+# A tick begins this share of the period before its command is due, and not longer before [s]: time
+# enough to plan a joint path around something, too.
 _SHARE = 0.35
-_LONGEST = 0.5e-3
+_LONGEST = 1e-3
 # The last bit of a wait is not slept: the system wakes nobody up to the microsecond [s].
 _AWAKE = 20e-6
 # What the beat falls back by per period, so that it is found again after it was put too early.
