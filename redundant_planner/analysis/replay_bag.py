@@ -41,6 +41,8 @@ Array = npt.NDArray[np.float64]
 
 _TIMEOUT = 0.1
 _RATE = 250
+# A stamp that is further from the time of its recording is of another clock [s].
+_SAME_CLOCK = 60.0
 
 
 @dataclass
@@ -56,6 +58,7 @@ class Inputs:
         twists: times and cmd_vel.
         obstacles: times and serialised MarkerArrays.
         previews: times and what was announced.
+        preview_begins: when each of them begins, by its stamp [s].
         commands: joint_command, stamp [ns] → velocities (n,) [rad/s, m/s].
         raw: times and messages that go into the new bag as they are, by topic.
     """
@@ -69,6 +72,7 @@ class Inputs:
     twists: list[tuple[float, Array]] = field(default_factory=list)
     obstacles: list[tuple[float, bytes]] = field(default_factory=list)
     previews: list[tuple[float, Preview]] = field(default_factory=list)
+    preview_begins: list[float] = field(default_factory=list)
     commands: dict[int, Array] = field(default_factory=dict)
     raw: list[tuple[str, float, bytes]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -105,6 +109,7 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
             preview = _preview(item)
             if preview is not None:
                 inputs.previews.append((item.arrival, preview))
+                inputs.preview_begins.append(_begin(item, bag.origin_ns))
         else:
             if item.topic == 'obstacles':
                 inputs.obstacles.append((item.arrival, item.raw))
@@ -126,6 +131,13 @@ def _preview(item: Event) -> Preview | None:
             np.array([twist_of(p.velocities[0]) for p in points]).reshape(-1, 6))
     except StateError:
         return None
+
+
+def _begin(item: Event, origin_ns: int) -> float:
+    """Return when a preview begins: at its stamp, or on receipt if that is of another clock."""
+    stamp = item.message.header.stamp
+    begin = (stamp.sec * 10**9 + stamp.nanosec - origin_ns) * 1e-9
+    return float(begin) if abs(begin - item.arrival) < _SAME_CLOCK else item.arrival
 
 
 @dataclass(frozen=True)
@@ -183,7 +195,7 @@ def _ticks_of_topics(inputs: Inputs) -> list[tuple[float, RecordedTick]]:
     ticks = []
     for time, twist, scene, preview in zip(times, latest, known, announced):
         fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
-        elapsed = time - inputs.previews[preview - 1][0] if preview and fresh else np.nan
+        elapsed = time - inputs.preview_begins[preview - 1] if preview and fresh else np.nan
         ticks.append((float(time), RecordedTick(
             0, float(time), TickKind.GOING_ON, int(scene), int(preview), float(elapsed),
             inputs.twists[twist - 1][1] if fresh else np.zeros(6), inputs.start)))

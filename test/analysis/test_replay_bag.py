@@ -9,6 +9,7 @@ import pytest
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.recording import open_bag, read_recording
 from redundant_planner.analysis.replay_bag import (
+    _ticks_of_topics,
     again,
     differences,
     main as replay_bag,
@@ -36,6 +37,17 @@ def test_a_live_run_with_its_ticks_is_repeated_exactly(paper_runs, tmp_path, met
     assert len(found) > 500 and found.max() < 1e-9
     assert replay_bag([str(bag), '--out', str(tmp_path / 'again')]) == 0
     assert 'largest difference 0' in capfd.readouterr().out
+
+
+def test_ticks_made_up_take_a_preview_from_its_stamp_on(paper_runs):
+    """Which lies a second after its announcement."""
+    with open_bag(paper_runs['variational']) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    recorded, made_up = ([time - tick.preview_elapsed for time, tick in ticks
+                          if tick.preview_elapsed > 0.0]
+                         for ticks in (inputs.ticks, _ticks_of_topics(inputs)))
+    assert inputs.preview_begins[0] > inputs.previews[0][0] + 0.5
+    np.testing.assert_allclose(made_up, np.median(recorded), atol=0.02)
 
 
 def test_without_ticks_the_motion_is_simulated_from_the_first_state(tmp_path):
