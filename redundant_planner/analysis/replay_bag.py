@@ -57,8 +57,7 @@ class Inputs:
         ticks: every tick's inputs, if they were recorded, and the times of their recording.
         twists: times and cmd_vel.
         obstacles: times and serialised MarkerArrays.
-        previews: times and what was announced.
-        preview_begins: when each of them begins, by its stamp [s].
+        previews: arrival times, beginnings by their stamps, and what was announced.
         commands: joint_command, stamp [ns] → velocities (n,) [rad/s, m/s].
         raw: times and messages that go into the new bag as they are, by topic.
     """
@@ -71,8 +70,7 @@ class Inputs:
     ticks: list[tuple[float, RecordedTick]] = field(default_factory=list)
     twists: list[tuple[float, Array]] = field(default_factory=list)
     obstacles: list[tuple[float, bytes]] = field(default_factory=list)
-    previews: list[tuple[float, Preview]] = field(default_factory=list)
-    preview_begins: list[float] = field(default_factory=list)
+    previews: list[tuple[float, float, Preview]] = field(default_factory=list)
     commands: dict[int, Array] = field(default_factory=dict)
     raw: list[tuple[str, float, bytes]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -108,8 +106,7 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
         elif item.topic == 'cmd_vel_preview':
             preview = _preview(item)
             if preview is not None:
-                inputs.previews.append((item.arrival, preview))
-                inputs.preview_begins.append(_begin(item, bag.origin_ns))
+                inputs.previews.append((item.arrival, _begin(item, bag.origin_ns), preview))
         else:
             if item.topic == 'obstacles':
                 inputs.obstacles.append((item.arrival, item.raw))
@@ -189,13 +186,13 @@ def _ticks_of_topics(inputs: Inputs) -> list[tuple[float, RecordedTick]]:
     rate = int(inputs.values.get('rate', _RATE))
     timeout = float(inputs.values.get('incoming_command_timeout', _TIMEOUT))
     times = inputs.begin + np.arange(round((inputs.end - inputs.begin) * rate)) / rate
-    arrivals = [np.array([time for time, _ in listed]) for listed in (
+    arrivals = [np.array([entry[0] for entry in listed]) for listed in (
         inputs.twists, inputs.obstacles, inputs.previews)]
     latest, known, announced = (np.searchsorted(a, times, side='right') for a in arrivals)
     ticks = []
     for time, twist, scene, preview in zip(times, latest, known, announced):
         fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
-        elapsed = time - inputs.preview_begins[preview - 1] if preview and fresh else np.nan
+        elapsed = time - inputs.previews[preview - 1][1] if preview and fresh else np.nan
         ticks.append((float(time), RecordedTick(
             0, float(time), TickKind.GOING_ON, int(scene), int(preview), float(elapsed),
             inputs.twists[twist - 1][1] if fresh else np.zeros(6), inputs.start)))
@@ -252,7 +249,7 @@ def _rows(
 def _ahead(inputs: Inputs, tick: RecordedTick) -> TwistAhead | None:
     if np.isnan(tick.preview_elapsed) or not 0 < tick.preview_messages <= len(inputs.previews):
         return None
-    preview, elapsed = inputs.previews[tick.preview_messages - 1][1], tick.preview_elapsed
+    preview, elapsed = inputs.previews[tick.preview_messages - 1][2], tick.preview_elapsed
     if elapsed > preview.times[-1]:
         return None
     return lambda times: preview.between(times + elapsed)

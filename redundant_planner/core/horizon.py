@@ -481,11 +481,10 @@ class Horizon:
         """Measure a plan and linearise about it."""
         robot = self._robot
         arms = robot.kinematics_along(nodes)
-        cost, error, intrusion, local = _linearised(
-            q, tuple(arms), tuple(poses), tuple(maps), self.times, self._scaling, robot.moves,
-            robot.rows, robot.in_tool)
-        beyond = float(np.maximum(nodes - self._high, self._low - nodes).max())
-        return _Plan(nodes, cost, error, intrusion, beyond), _Local(*local)
+        *measured, local = _linearised(
+            q, tuple(arms), tuple(poses), tuple(maps), self.times, self._scaling, self._low,
+            self._high, robot.moves, robot.rows, robot.in_tool)
+        return _Plan(nodes, *measured), _Local(*local)
 
     def _improved(self, plan: _Plan, local: _Local) -> _Plan | None:
         """Return the QP's solution about a plan; None where it has none."""
@@ -546,9 +545,9 @@ def _step_to_pose(orthogonal: Matrix, upper: Matrix, error: Vector) -> Array:
 @compiled
 def _linearised(
     q: Vector, arms: Fields[_Arms], poses: Fields[Poses], maps: Fields[Whitening], times: Vector,
-    scaling: Vector, moves: Matrix, rows: Indices, in_tool: bool,
-) -> tuple[float, float, float, Fields[_Local]]:
-    """Return a plan's cost, pose error and intrusion, see `_Plan`, and its surroundings.
+    scaling: Vector, low: Vector, high: Vector, moves: Matrix, rows: Indices, in_tool: bool,
+) -> tuple[float, float, float, float, Fields[_Local]]:
+    """Return a plan's cost, error, intrusion and beyond, see `_Plan`, and its surroundings.
 
     Args:
         q: (n,) where the arm is.
@@ -556,6 +555,7 @@ def _linearised(
         poses, maps: the problem.
         times: (N + 1,) of `Horizon`.
         scaling: (n,) 1 / square root of the joint weights.
+        low, high: (n,) the joint limits.
         moves, rows, in_tool: see `Robot`.
     """
     arms, poses, maps = _Arms(*arms), Poses(*poses), Whitening(*maps)
@@ -563,8 +563,10 @@ def _linearised(
     free = n - len(rows)
     size = count * free
     base, steps, basis = np.empty((count, n)), np.empty((count, n)), np.empty((count, free, n))
-    error = 0.0
+    error, beyond = 0.0, -np.inf
     for i in range(count):
+        for j in range(n):
+            beyond = max(beyond, arms.nodes[i, j] - high[j], low[j] - arms.nodes[i, j])
         off = _pose_error(
             poses, i, arms.tip_position[i], arms.tip_rotation[i], rows, in_tool)
         error = max(error, np.abs(off).max())
@@ -605,7 +607,7 @@ def _linearised(
         for j in range(n):
             bounds[i] -= near.gradient[i, j] * steps[near.postures[i], j]
     local = _Local(base, basis * scaling, linear, hessian, near.gradient, bounds, near.postures)
-    return cost, error, -near.nearest, local[:]
+    return cost, error, -near.nearest, beyond, local[:]
 
 
 @compiled
