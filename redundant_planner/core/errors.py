@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
+
+# No parameter's name is longer, and what is longer is not compared with them.
+_LONGEST_NAME = 100
+# More unknown names than this are counted, not listed.
+_LISTED = 12
 
 
 class PlannerError(ValueError):
@@ -37,3 +43,20 @@ def known(names: Iterable[str]) -> str:
     names = list(names)
     shown = ', '.join(f"'{name}'" for name in names[:12])
     return f'{shown} and {len(names) - 12} more' if len(names) > 12 else shown or 'none'
+
+
+def unknown_names(given: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Return a sentence about every given parameter name that is not a known one.
+
+    Each suggests the known name that was probably meant.
+    """
+    candidates = list(known)
+    unknown = sorted(set(map(str, given)) - set(candidates))
+    sentences = []
+    for name in unknown[:_LISTED]:
+        near = get_close_matches(name, candidates, n=1) if len(name) <= _LONGEST_NAME else []
+        suggestion = f"; did you mean '{near[0]}'?" if near else ''
+        sentences.append(f"parameter '{name[:_LONGEST_NAME]}' is not known{suggestion}")
+    if len(unknown) > _LISTED:
+        sentences.append(f'{len(unknown) - _LISTED} more parameters are not known')
+    return sentences
