@@ -14,14 +14,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from redundant_planner.node_parameters import JOINT_TRAJECTORY, POSITION_COMMANDS
 from redundant_planner.nodes.joint_messages import JointWriter
 
 Array = npt.NDArray[np.float64]
-
-POSITION_COMMANDS = 'position_commands'
-VELOCITY_COMMANDS = 'velocity_commands'
-JOINT_TRAJECTORY = 'joint_trajectory'
-OUTPUTS = (POSITION_COMMANDS, VELOCITY_COMMANDS, JOINT_TRAJECTORY)
 
 
 class CommandOutput:

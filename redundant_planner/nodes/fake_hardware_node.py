@@ -14,11 +14,11 @@ from std_msgs.msg import String
 
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.joint_motion import joint_ranges, SimulatedArm
+from redundant_planner.node_parameters import FakeHardwareParameters
 from redundant_planner.nodes import messages, process
 from redundant_planner.nodes.joint_messages import JointWriter
-from redundant_planner.nodes.ros_parameters import declare, FakeHardwareParameters
-from redundant_planner.resources import resolve
-from redundant_planner.robot_parameters import RobotParameters
+from redundant_planner.nodes.ros_parameters import declare
+from redundant_planner.robot_parameters import RobotParameters, urdf_text
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class FakeHardwareNode(process.EndableNode):
         super().__init__('fake_hardware_node')
         robot = declare(self, RobotParameters)
         settings = declare(self, FakeHardwareParameters)
-        urdf = resolve(robot.urdf).read_text() if robot.urdf else robot.robot_description
+        urdf = urdf_text(robot)
         if not urdf:
             raise ParameterError("parameter 'urdf' is empty; give the URDF to simulate")
         self._arm = SimulatedArm(
