@@ -5,10 +5,15 @@ from __future__ import annotations
 import os
 from pathlib import Path
 import sys
+from typing import Any
 
-from redundant_planner.core.errors import known, PlannerError
+import yaml
+
+from redundant_planner.core.errors import known, PlannerError, shown
 
 PACKAGE = 'redundant_planner'
+# A larger file is neither a URDF nor made of parameters [bytes].
+_LARGEST_FILE = 20_000_000
 
 
 def share_directory() -> Path:
@@ -34,17 +39,58 @@ def resolve(location: str, relative_to: Path | None = None) -> Path:
     Raises:
         PlannerError: there is no such file or package.
     """
-    if location.startswith('package://'):
-        package, _, rest = location[len('package://'):].partition('/')
-        path = _beside(package, rest, relative_to) or _package_share(package) / rest
-    else:
-        path = Path(location.removeprefix('file://')).expanduser()
-        if not path.is_absolute() and relative_to is not None:
-            path = relative_to / path
-    if not path.is_file():
-        raise PlannerError(f"'{location}' is not a file" + (
+    try:
+        if location.startswith('package://'):
+            package, _, rest = location[len('package://'):].partition('/')
+            path = _beside(package, rest, relative_to) or _package_share(package) / rest
+        else:
+            path = Path(location.removeprefix('file://')).expanduser()
+            if not path.is_absolute() and relative_to is not None:
+                path = relative_to / path
+        found = path.is_file()
+    except (OSError, RuntimeError) as error:  # too long, or the home of nobody
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise PlannerError(f'{shown(location)} cannot be looked up: {reason}') from None
+    if not found:
+        raise PlannerError(f'{shown(location)} is not a file' + (
             f" (looked at '{path}')" if str(path) != location else ''))
     return path
+
+
+def read_text(path: Path) -> str:
+    """Return a file's text.
+
+    Raises:
+        PlannerError: it cannot be read, is not UTF-8, or is far too large.
+    """
+    try:
+        with path.open('rb') as file:
+            content = file.read(_LARGEST_FILE + 1)
+        if len(content) > _LARGEST_FILE:
+            raise PlannerError(f"'{path}' is larger than {_LARGEST_FILE} bytes")
+        return content.decode()
+    except OSError as error:
+        raise PlannerError(f"'{path}' cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise PlannerError(f"'{path}' is not UTF-8 text") from None
+
+
+def yaml_content(text: str, what: str) -> Any:
+    """Return the content of YAML text.
+
+    Args:
+        text: to read.
+        what: it is, for the message.
+
+    Raises:
+        PlannerError: it is not YAML.
+    """
+    try:
+        return yaml.safe_load(text)
+    # What looks like a date, say, but is none is a ValueError of PyYAML's.
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        words = ' '.join(str(error).split())
+        raise PlannerError(f'{what} is not valid YAML: {words[:300]}') from None
 
 
 def _beside(package: str, rest: str, folder: Path | None) -> Path | None:

@@ -9,20 +9,37 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
-import xml.etree.ElementTree as ElementTree
 
-import numpy as np
 import yaml
 
-from redundant_planner.core.errors import known, ParameterError, RobotError
+from redundant_planner.core.cache_folder import cache_folder
+from redundant_planner.core.errors import (
+    known,
+    ObstacleError,
+    ParameterError,
+    PlannerError,
+    shown,
+    unknown_names,
+)
 from redundant_planner.core.joint_motion import joint_ranges
 from redundant_planner.core.obstacles import Obstacle
-from redundant_planner.core.parameters import check, parameter
-from redundant_planner.core.robot import AXES, Capsule, COMMAND_FRAMES, Robot
-from redundant_planner.link_shapes import capsule_entry, fitted_capsules
-from redundant_planner.resources import resolve
+from redundant_planner.core.parameters import check, parameter, PlannerParameters
+from redundant_planner.core.robot import AXES, Capsule, COMMAND_FRAMES, floats_of, Robot
+from redundant_planner.core.urdf import Joint, read_urdf
+from redundant_planner.link_shapes import capsule_entry, fitted_capsules, links_without_shape
+from redundant_planner.node_parameters import (
+    FakeHardwareParameters,
+    PlannerNodeParameters,
+    PlayerParameters,
+)
+from redundant_planner.resources import read_text, resolve, yaml_content
 
 Settings = TypeVar('Settings')
+
+# What a parameter file may hold besides the fields of the parameter dataclasses: named things, and
+# what every ROS node takes.
+_NAMED = ('capsule', 'static_obstacle')
+_EVERY_NODES = ('use_sim_time', 'qos_overrides', 'start_type_description_service')
 
 # What forks after this many joints is a hand.
 _ARM_JOINTS = 6
@@ -101,13 +118,14 @@ def urdf_text(parameters: RobotParameters, folder: Path | None = None) -> str:
         PlannerError: there is no such file.
     """
     if parameters.urdf:
-        return resolve(parameters.urdf, folder).read_text()
+        return read_text(resolve(parameters.urdf, folder))
     return parameters.robot_description
 
 
 def build_robot(
     parameters: RobotParameters, urdf: str, capsules: Mapping[str, Mapping[str, Any]], *,
     folder: Path | None = None, say: Callable[[str], object] | None = None,
+    warn: Callable[[str], object] | None = None,
 ) -> Robot:
     """Return the robot that parameters, URDF text and capsule entries describe.
 
@@ -117,6 +135,7 @@ def build_robot(
         capsules: name → {frame, start, end, radius}.
         folder: that a relative `parameters.urdf` refers to.
         say: takes a sentence before something that lasts some seconds.
+        warn: takes a sentence about links that nothing protects.
 
     Raises:
         RobotError, ObstacleError, ParameterError: with what is wrong.
@@ -138,8 +157,13 @@ def build_robot(
     if p.link_shapes == 'straight':
         return robot_with(None)
     if say is not None:
-        say("fitting capsules to the URDF's collision geometry, once for all starts to come")
-    fits = fitted_capsules(robot_with([]), urdf_folder(p, folder))
+        kept = ('once for all starts to come' if cache_folder() is not None else
+                'at every start: there is no cache folder that nobody else can write to')
+        say(f"fitting capsules to the URDF's collision geometry, {kept}")
+    bare = robot_with([])
+    fits = fitted_capsules(bare, urdf_folder(p, folder))
+    if warn is not None and (unprotected := links_without_shape(bare)):
+        warn(f'no collision geometry, so nothing keeps obstacles away: {known(unprotected)}')
     return robot_with([capsule for fit in fits for capsule in fit.capsules])
 
 
@@ -188,14 +212,21 @@ def load_robot(path: Path, **changes: Any) -> Robot:
     return build_robot(parameters, urdf, capsules, folder=path.parent)
 
 
-def read_robot_parameters(path: Path) -> tuple[RobotParameters, dict[str, dict[str, Any]]]:
+def read_robot_parameters(
+    path: Path,
+) -> tuple[RobotParameters, dict[str, Mapping[str, Any]]]:
     """Return a parameter file's robot parameters and capsule entries.
 
     Raises:
         ParameterError: the file is unusable, with what is wrong.
     """
     values = read_parameter_file(path)
-    return settings_of(RobotParameters, values), values.get('capsule', {})
+    parameters, capsules = settings_of(RobotParameters, values), entries_of(values, 'capsule')
+    unlisted = [name for name in capsules if name not in parameters.capsules]
+    if unlisted:
+        raise ParameterError(f"'{path}' describes the capsules {known(unlisted)}, which the "
+                             "parameter 'capsules' does not name")
+    return parameters, capsules
 
 
 def settings_of(settings: type[Settings], values: Mapping[str, Any]) -> Settings:
@@ -215,20 +246,33 @@ def robot_of_values(values: Mapping[str, Any]) -> Robot:
         PlannerError: they do not make a robot.
     """
     parameters = settings_of(RobotParameters, values)
-    return build_robot(parameters, urdf_text(parameters), values.get('capsule', {}))
+    return build_robot(parameters, urdf_text(parameters), entries_of(values, 'capsule'))
 
 
 def read_parameter_file(path: Path) -> dict[str, Any]:
     """Return the parameters that a ROS parameter file sets for every node.
 
     Raises:
-        ParameterError: it is not YAML, or not a parameter file.
+        ParameterError: it is not YAML, not a parameter file, or names a parameter that no node
+            of this package has.
     """
+    what = f"'{path}'"
     try:
-        content = yaml.safe_load(path.read_text())
-    except yaml.YAMLError as error:
-        raise ParameterError(f"'{path}' is not valid YAML: {error}") from None
-    return parameter_values(content, f"'{path}'")
+        content = yaml_content(read_text(path), what)
+    except PlannerError as error:
+        raise ParameterError(str(error)) from None
+    values = parameter_values(content, what)
+    unknown = unknown_names(values, known_parameters())
+    if unknown:
+        raise ParameterError(f'{what}: ' + '; '.join(unknown))
+    return values
+
+
+def known_parameters() -> list[str]:
+    """Return the names that a file for this package's nodes may set."""
+    groups = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
+              PlayerParameters)
+    return [*(entry.name for group in groups for entry in fields(group)), *_NAMED, *_EVERY_NODES]
 
 
 def parameter_values(content: Any, what: str) -> dict[str, Any]:
@@ -238,14 +282,47 @@ def parameter_values(content: Any, what: str) -> dict[str, Any]:
         content: as YAML gives it.
         what: it is, for the message.
 
+    Returns:
+        name → value; names with dots are taken apart, as ROS does.
+
     Raises:
         ParameterError: it is not a parameter file.
     """
-    try:
-        return dict(content['/**']['ros__parameters'])
-    except (TypeError, KeyError, ValueError):
+    section = content.get('/**') if isinstance(content, Mapping) else None
+    given = section.get('ros__parameters') if isinstance(section, Mapping) else None
+    if not isinstance(given, Mapping):
         raise ParameterError(f"{what} is not a parameter file; it must start with '/**:' and "
-                             "'ros__parameters:'") from None
+                             "'ros__parameters:'")
+    values: dict[str, Any] = {}
+    for name, value in given.items():
+        *groups, last = str(name).split('.')
+        place = values
+        for group in groups:
+            inner = place.get(group)
+            place[group] = place = dict(inner) if isinstance(inner, Mapping) else {}
+        place[last] = {**place[last], **value} if (
+            isinstance(value, Mapping) and isinstance(place.get(last), Mapping)) else value
+    return values
+
+
+def entries_of(values: Mapping[str, Any], what: str) -> dict[str, Mapping[str, Any]]:
+    """Return the named things among parameter values: name → key → value.
+
+    Args:
+        values: parameters.
+        what: 'capsule' or 'static_obstacle'.
+
+    Raises:
+        ParameterError: there is something else in their place.
+    """
+    entries = values.get(what)
+    if entries is None:
+        return {}
+    if not isinstance(entries, Mapping) or not all(
+            isinstance(entry, Mapping) for entry in entries.values()):
+        raise ParameterError(f"parameter '{what}' is {shown(entries)}; it must hold names, and "
+                             f'under each the keys of that {what.replace("_", " ")}')
+    return {str(name): entry for name, entry in entries.items()}
 
 
 def obstacle_of(name: str, entry: Mapping[str, Any]) -> Obstacle:
@@ -254,10 +331,16 @@ def obstacle_of(name: str, entry: Mapping[str, Any]) -> Obstacle:
     Raises:
         ObstacleError, ParameterError: with what is wrong.
     """
-    _check_keys(f"obstacle '{name}'", entry, ('center', 'semi_axes'),
-                ('orientation', 'velocity'))
-    return Obstacle(name, **{key: np.asarray(value, dtype=float)
-                             for key, value in entry.items() if key != 'name'})
+    check_keys(f"obstacle '{name}'", entry, ('center', 'semi_axes'),
+               ('orientation', 'velocity', 'name'))
+    arrays = {}
+    for key in entry:
+        if key != 'name':
+            arrays[key] = floats_of(entry[key])
+            if arrays[key].ndim != 1:
+                raise ObstacleError(f"obstacle '{name}': {key} is {shown(entry[key])}; it takes "
+                                    'a list of numbers')
+    return Obstacle(name, **arrays)
 
 
 def static_obstacles(values: Mapping[str, Any]) -> list[Obstacle]:
@@ -267,25 +350,31 @@ def static_obstacles(values: Mapping[str, Any]) -> list[Obstacle]:
         ObstacleError, ParameterError: with what is wrong.
     """
     return [obstacle_of(name, entry)
-            for name, entry in (values.get('static_obstacle') or {}).items()]
+            for name, entry in entries_of(values, 'static_obstacle').items()]
 
 
 def _capsule(name: str, entry: Mapping[str, Any]) -> Capsule:
-    _check_keys(f"capsule '{name}'", entry, ('frame', 'start', 'end', 'radius'))
-    return Capsule(name, str(entry['frame']), np.asarray(entry['start'], dtype=float),
-                   np.asarray(entry['end'], dtype=float), float(entry['radius']))
+    check_keys(f"capsule '{name}'", entry, ('frame', 'start', 'end', 'radius'))
+    return Capsule(name, str(entry['frame']), entry['start'], entry['end'], entry['radius'])
 
 
-def _check_keys(
-    what: str, entry: Mapping[str, Any], required: tuple[str, ...],
-    optional: tuple[str, ...] = (),
+def check_keys(
+    what: str, entry: Any, required: tuple[str, ...], optional: tuple[str, ...] = (),
 ) -> None:
+    """Make sure that an entry of a file has its keys, and no others.
+
+    Raises:
+        ParameterError: it has not.
+    """
+    takes = f'it takes {known((*required, *optional))}'
+    if not isinstance(entry, Mapping):
+        raise ParameterError(f'{what} is {shown(entry)}; {takes}')
     missing = [key for key in required if key not in entry]
-    unknown = [key for key in entry if key not in (*required, *optional, 'name')]
+    unknown = [key for key in entry if key not in (*required, *optional)]
     if missing or unknown:
         raise ParameterError(
             f'{what} ' + (f'lacks {known(missing)}' if missing else f'has {known(unknown)}')
-            + f'; it takes {known((*required, *optional))}')
+            + f'; {takes}')
 
 
 def likely_tip(urdf: str) -> str:
@@ -297,38 +386,30 @@ def likely_tip(urdf: str) -> str:
     Raises:
         RobotError: the URDF does not describe a robot.
     """
-    try:
-        root = ElementTree.fromstring(urdf)
-    except ElementTree.ParseError as error:
-        raise RobotError(f'the URDF is not well-formed XML: {error}') from None
-    children: dict[str, list[tuple[str, bool, bool]]] = {}
-    hanging = set()
-    for joint in root.findall('joint'):
-        parent, child = (joint.find(end) for end in ('parent', 'child'))
-        if parent is None or child is None:
-            continue
-        name = child.get('link', '')
-        hanging.add(name)
-        children.setdefault(parent.get('link', ''), []).append(
-            (name, joint.get('type') != 'fixed', joint.find('mimic') is not None))
-    roots = [link.get('name', '') for link in root.findall('link')
-             if link.get('name') not in hanging]
-
-    def longest(link: str, joints: int) -> tuple[int, str]:
-        branches = children.get(link, [])
-        moving = [branch for branch in branches if branch[1]]
-        if joints >= _ARM_JOINTS and (len(moving) > 1 or any(mimic for *_, mimic in moving)):
-            return joints, link
-        best = joints, link
-        for child, moves, mimic in branches:
-            found = longest(child, joints + moves) if not mimic else best
-            if found[0] > best[0] or (found[0] == best[0] and not moves):
-                best = found
-        return best
-
-    if not roots:
-        raise RobotError('the URDF has no root link')
-    return longest(roots[0], 0)[1]
+    described = read_urdf(urdf)
+    below: dict[str, list[Joint]] = {}
+    for joint in described.joints:
+        below.setdefault(joint.parent, []).append(joint)
+    count, order = {described.root: 0}, [described.root]
+    for link in order:  # grows meanwhile: every link comes after the one that it hangs from
+        for joint in below.get(link, ()):
+            count[joint.child] = count[link] + (joint.kind != 'fixed')
+            order.append(joint.child)
+    # The end that each link leads to, and how many joints lie before it.
+    ends: dict[str, tuple[int, str]] = {}
+    for link in reversed(order):
+        best = count[link], link
+        branches = below.get(link, [])
+        several = sum(joint.kind != 'fixed' for joint in branches) > 1
+        if count[link] < _ARM_JOINTS or not (
+                several or any(joint.mimic is not None for joint in branches)):
+            for joint in branches:
+                found = ends[joint.child]
+                if joint.mimic is None and (
+                        found[0] > best[0] or (found[0] == best[0] and joint.kind == 'fixed')):
+                    best = found
+        ends[link] = best
+    return ends[described.root][1]
 
 
 def parameter_file_text(

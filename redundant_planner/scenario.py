@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
-from redundant_planner.core.errors import known, PlannerError, ScenarioError
+from redundant_planner.core.errors import known, PlannerError, ScenarioError, shown
 from redundant_planner.core.horizon import Preview
 from redundant_planner.core.obstacles import Obstacle
-from redundant_planner.core.robot import Robot
-from redundant_planner.resources import resolve
-from redundant_planner.robot_parameters import load_robot, obstacle_of
+from redundant_planner.core.robot import floats_of, Robot
+from redundant_planner.core.urdf import LARGEST
+from redundant_planner.resources import read_text, resolve, yaml_content
+from redundant_planner.robot_parameters import check_keys, load_robot, obstacle_of
 
 Array = npt.NDArray[np.float64]
 
@@ -90,8 +90,8 @@ def load_scenario(path: Path) -> Scenario:
         ScenarioError: naming what the file lacks or has wrong.
     """
     try:
-        content = yaml.safe_load(path.read_text())
-    except (OSError, yaml.YAMLError) as error:
+        content = yaml_content(read_text(path), 'it')
+    except PlannerError as error:
         raise ScenarioError(f"scenario '{path}' cannot be read: {error}") from None
     if not isinstance(content, dict):
         raise ScenarioError(f"scenario '{path}' is not a mapping with {known(_KEYS)}")
@@ -104,27 +104,62 @@ def load_scenario(path: Path) -> Scenario:
     try:
         interpolation = content.get('interpolation', 'hold')
         if interpolation not in ('hold', 'linear'):
-            raise ScenarioError(f"interpolation is '{interpolation}'; it must be 'hold' or "
+            raise ScenarioError(f"interpolation is {shown(interpolation)}; it must be 'hold' or "
                                 "'linear'")
+        if not isinstance(content['robot'], str):
+            raise ScenarioError(f'robot is {shown(content["robot"])}; it takes the location of a '
+                                'parameter file')
         times, twists = _profile(content['twist'])
         return Scenario(
             name=path.stem,
             robot_file=resolve(content['robot'], path.parent),
-            start={str(k): float(v) for k, v in content['start'].items()},
+            start=_start(content['start']),
             times=times, twists=twists, linear=interpolation == 'linear',
-            obstacles=tuple(obstacle_of(str(entry.get('name', f'obstacle{i}')), entry)
-                            for i, entry in enumerate(content.get('obstacles') or ())))
-    except (PlannerError, TypeError, ValueError, AttributeError) as error:
+            obstacles=_obstacles(content.get('obstacles')))
+    except PlannerError as error:
         raise ScenarioError(f"scenario '{path}': {error}") from None
 
 
-def _profile(entries: list[dict[str, Any]]) -> tuple[Array, Array]:
-    times = np.array([float(entry['time']) for entry in entries])
-    if len(times) < 2 or times[0] != 0.0 or not (np.diff(times) > 0.0).all():
-        raise ScenarioError('twist takes two or more entries with ascending times, the first at '
-                            f'0 and the last ending the motion; its times are {times.tolist()}')
-    twists = np.array([[*entry.get('linear', (0.0, 0.0, 0.0)),
-                        *entry.get('angular', (0.0, 0.0, 0.0))] for entry in entries], float)
-    if twists.shape != (len(times), 6) or not np.isfinite(twists).all():
-        raise ScenarioError('every twist takes three finite numbers in linear and in angular')
+def _start(entries: Any) -> dict[str, float]:
+    if not isinstance(entries, dict):
+        raise ScenarioError(f'start is {shown(entries)}; it takes a position for each joint')
+    return {str(name): _number(value, f"the start of joint '{name}'")
+            for name, value in entries.items()}
+
+
+def _profile(entries: Any) -> tuple[Array, Array]:
+    if not isinstance(entries, list) or len(entries) < 2:
+        raise ScenarioError(f'twist is {shown(entries)}; it takes two or more entries')
+    twists = np.zeros((len(entries), 6))
+    for i, entry in enumerate(entries):
+        check_keys('an entry of twist', entry, ('time',), ('linear', 'angular'))
+        for part, key in ((slice(0, 3), 'linear'), (slice(3, 6), 'angular')):
+            if key in entry:
+                values = floats_of(entry[key])
+                if values.shape != (3,) or not np.isfinite(values).all():
+                    raise ScenarioError(f'{key} of an entry of twist is {shown(entry[key])}; it '
+                                        'takes three finite numbers')
+                twists[i, part] = values
+    times = np.array([_number(entry['time'], 'the time of an entry of twist')
+                      for entry in entries])
+    if times[0] != 0.0 or not (np.diff(times) > 0.0).all():
+        raise ScenarioError('twist takes entries with ascending times, the first at 0 and the '
+                            f'last ending the motion; its times are {shown(times.tolist())}')
     return times, twists
+
+
+def _obstacles(entries: Any) -> tuple[Obstacle, ...]:
+    if entries is None:
+        return ()
+    if not isinstance(entries, list):
+        raise ScenarioError(f'obstacles are {shown(entries)}; they must be a list')
+    named = [str(entry.get('name', f'obstacle{i}')) if isinstance(entry, dict) else f'obstacle{i}'
+             for i, entry in enumerate(entries)]
+    return tuple(obstacle_of(name, entry) for name, entry in zip(named, entries))
+
+
+def _number(value: Any, what: str) -> float:
+    number = floats_of(value)
+    if number.shape != () or not abs(number) <= LARGEST:
+        raise ScenarioError(f'{what} is {shown(value)}; it takes a number within ±{LARGEST:g}')
+    return float(number)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import struct
 
 from conftest import EXAMPLE_ROBOTS, PANDA_URDF, planar_urdf
+from hypothesis import given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
 
+from redundant_planner import link_shapes
 from redundant_planner.analysis.show_robot import main as show_robot
 from redundant_planner.core.capsule_fit import distances, Shape
 from redundant_planner.core.errors import RobotError
 from redundant_planner.core.robot import Robot
 from redundant_planner.link_shapes import collision_pieces, fitted_capsules
-from redundant_planner.robot_parameters import likely_tip, load_robot, RobotParameters
+from redundant_planner.robot_parameters import build_robot, likely_tip, load_robot, RobotParameters
 
 ARMS = {
     'panda_description/urdf/panda.urdf': 'panda_hand',
@@ -67,9 +68,9 @@ def test_primitives_stand_where_their_origin_puts_them(geometry, expected):
         assert along[0] > 10.0 * along[1:].max()
 
 
-def tetrahedron(path):
-    """Write a mesh with its corners at the origin and at 1 on every axis."""
-    corners = np.vstack((np.zeros(3), np.eye(3)))
+def tetrahedron(path, size=1.0):
+    """Write a mesh with its corners at the origin and at `size` on every axis."""
+    corners = np.vstack((np.zeros(3), np.diag([size] * 3)))
     faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
     data = b'\0' * 80 + struct.pack('<I', len(faces))
     for face in faces:
@@ -100,20 +101,133 @@ def test_what_is_missing_is_named(tmp_path):
         collision_pieces(bare, None)
 
 
-def test_a_fit_is_kept_and_found_again(tmp_path, monkeypatch):
+@pytest.mark.parametrize(('geometry', 'message'), [
+    ('<sphere radius="abc"/>', "sphere in the collision geometry of link 'link2' has radius='abc"),
+    ('<sphere radius="nan"/>', "has radius='nan'"), ('<sphere radius="inf"/>', "radius='inf'"),
+    ('<sphere radius="-0.1"/>', r'has the sizes \[-0.1\]; they must be positive'),
+    ('<sphere radius="0"/>', 'must be positive'), ('<sphere/>', 'lacks radius; it takes a number'),
+    ('<cylinder radius="0.1"/>', 'lacks length'), ('<box size="0.1 0.2"/>', "size='0.1 0.2'"),
+    ('<box size="0.1 0.2 0"/>', 'must be positive'),
+    ('<cone radius="0.1"/>', "link 'link2' has a <cone>, which no capsule can be fitted to"),
+    ('', "link 'link2' holds 0 shapes; it takes one"),
+    ('<sphere radius="0.1"/><sphere radius="0.1"/>', 'holds 2 shapes'),
+    ('<mesh filename="~nouser/x"/>', "mesh of link 'link2': '~nouser/x' cannot be looked up"),
+    (f'<mesh filename="{"x" * 5000}"/>', "mesh of link 'link2': 'xxx.*cannot be looked up"),
+    ('<mesh filename="good.stl" scale="1 1 0"/>', "mesh of link 'link2' has a scale of 0"),
+    ('<mesh filename="good.stl" scale="1 1"/>', "mesh of link 'link2' has scale='1 1'"),
+    ('<mesh filename="nan.stl"/>', "mesh of link 'link2': .*nan.stl' has 4 vertices; it takes"),
+    ('<mesh filename="huge.stl"/>', r"huge.stl' has 4 vertices; .* within ±10000 m"),
+    ('<mesh filename="cut.stl"/>', "mesh of link 'link2': .*cut.stl' cannot be read"),
+    ('<mesh filename="text.dae"/>', "mesh of link 'link2': .*text.dae' cannot be read"),
+])
+def test_a_collision_element_that_cannot_be_used_is_refused_by_its_link(
+        tmp_path, geometry, message):
+    tetrahedron(tmp_path / 'good.stl')
+    tetrahedron(tmp_path / 'nan.stl', np.nan)
+    tetrahedron(tmp_path / 'huge.stl', 1e30)
+    (tmp_path / 'cut.stl').write_bytes((tmp_path / 'good.stl').read_bytes()[:100])
+    (tmp_path / 'text.dae').write_text('no mesh')
+    # A good element beside it must not hide the bad one.
+    text = arm_with(geometry).replace('</link>', (
+        '<collision><geometry><sphere radius="0.1"/></geometry></collision></link>'), 1)
+    robot = Robot(text, 'tip', capsules=[], axes=('vx', 'vy'))
+    with pytest.raises(RobotError, match=message):
+        fitted_capsules(robot, tmp_path, cache=False)
+
+
+@pytest.mark.parametrize('origin', ['xyz="nan 0 0"', 'xyz="0 0"', 'rpy="0 east 0"', 'rpy=""'])
+def test_a_collision_element_that_stands_nowhere_is_refused(origin):
+    text = arm_with('<sphere radius="0.1"/>').replace('xyz="0.1 0 0" rpy="0 1.5707963 0"', origin)
+    robot = Robot(text, 'tip', capsules=[], axes=('vx', 'vy'))
+    with pytest.raises(RobotError, match="origin of the collision geometry of link 'link2' has"):
+        collision_pieces(robot, None)
+
+
+def test_a_link_that_is_seen_but_has_no_collision_geometry_is_named():
+    text = arm_with('<sphere radius="0.1"/>').replace(
+        '<link name="link3"/>', '<link name="link3"><visual/></link>')
+    said = []
+    build_robot(RobotParameters(tip_frame='tip', axes=('vx', 'vy')), text, {}, warn=said.append)
+    assert said == ["no collision geometry, so nothing keeps obstacles away: 'link3'"]
+
+
+def test_more_collision_elements_than_can_be_fitted_in_time_are_refused():
+    many = '<collision><geometry><sphere radius="0.1"/></geometry></collision>' * 101
+    text = planar_urdf().replace('<link name="link2"/>', f'<link name="link2">{many}</link>')
+    with pytest.raises(RobotError, match="'joint2' carries have 101 collision elements"):
+        collision_pieces(Robot(text, 'tip', capsules=[], axes=('vx', 'vy')), None)
+
+
+@pytest.fixture
+def cached(tmp_path, monkeypatch):
+    """An arm whose fit is kept, the fit, and the file."""
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     robot = Robot(arm_with('<box size="0.1 0.2 0.3"/>'), 'tip', capsules=[], axes=('vx', 'vy'))
-    first = fitted_capsules(robot, None)
+    fits = fitted_capsules(robot, None)
     (file,) = (tmp_path / 'redundant_planner').iterdir()
-    entries = json.loads(file.read_text())
-    entries[0]['capsules'][0]['radius'] = 7.0
-    file.write_text(json.dumps(entries))
-    assert fitted_capsules(robot, None)[0].capsules[0].radius == 7.0
-    file.write_text('{}}')
-    again = fitted_capsules(robot, None)
-    assert again[0].capsules[0].radius == first[0].capsules[0].radius
+    return robot, fits, file
+
+
+def numbers_of(fits):
+    return [(fit.joint, fit.links, c.name, c.frame, *c.start, *c.end, c.radius)
+            for fit in fits for c in fit.capsules]
+
+
+def test_a_fit_is_kept_and_found_again(cached, monkeypatch):
+    robot, fits, _ = cached
+    with monkeypatch.context() as context:
+        context.setattr(link_shapes, '_fit', None)  # whoever fits again, fails
+        assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)
     other = Robot(arm_with('<box size="0.1 0.2 0.4"/>'), 'tip', capsules=[], axes=('vx', 'vy'))
-    assert fitted_capsules(other, None)[0].capsules[0].radius != 7.0
+    assert numbers_of(fitted_capsules(other, None)) != numbers_of(fits)
+
+
+def test_a_fit_with_a_joint_locked_elsewhere_is_another_one(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    text = arm_with('<sphere radius="0.1"/>').replace('<link name="link3"/>', (
+        '<link name="link3"><collision><origin xyz="0.3 0 0"/><geometry><sphere radius="0.1"/>'
+        '</geometry></collision></link>'))
+    straight, bent = (
+        fitted_capsules(Robot(text, 'tip', capsules=[], axes=('vx', 'vy'),
+                              locked_positions={'joint3': angle}), None) for angle in (0.0, 1.5))
+    assert numbers_of(straight) != numbers_of(bent)
+
+
+@given(data=st.data())
+@settings(max_examples=40, deadline=None,
+          suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_damaged_cache_is_recognised_and_made_anew(cached, data):
+    robot, fits, file = cached
+    good = file.read_bytes()
+    place = data.draw(st.integers(0, len(good) - 1))
+    damaged = data.draw(st.sampled_from([
+        b'', b'[]', b'{}', b'null', b'[' * 100_000, good[:place], good + b' ',
+        good[:place] + bytes([good[place] ^ 1]) + good[place + 1:]]))
+    file.write_bytes(damaged)
+    assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)
+    assert file.read_bytes() == good
+
+
+@pytest.mark.parametrize('content', ['[]', '[{}]', '{}', 'null', '{"joint": 1}'])
+def test_a_whole_cache_that_lacks_links_is_made_anew(cached, content):
+    robot, fits, file = cached
+    key = link_shapes._key(robot, link_shapes._elements(robot, None))
+    good = file.read_bytes()
+    file.write_bytes(link_shapes._seal(key, content.encode()) + b'\n' + content.encode())
+    assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)
+    assert file.read_bytes() == good
+
+
+def test_a_cache_that_cannot_be_written_leaves_nothing_behind(cached, monkeypatch):
+    robot, fits, file = cached
+    file.unlink()
+
+    def full(*_):
+        raise OSError('no space left on device')
+
+    monkeypatch.setattr(link_shapes.os, 'replace', full)
+    assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)
+    assert list(file.parent.iterdir()) == []
 
 
 def test_show_robot_prints_a_parameter_file_that_loads(tmp_path, capsys):
@@ -150,7 +264,7 @@ def test_show_robot_keeps_what_the_parameters_say(tmp_path, capsys):
 
 @pytest.mark.parametrize(('arguments', 'message'), [
     ([], 'give --urdf or --params'), (['--urdf', '/no/such.urdf'], 'is not a file'),
-    (['--params', '/no/such.yaml'], 'is not a file'),
+    (['--params', '/no/such.yaml'], 'cannot be read: No such file'),
     (['--urdf', str(PANDA_URDF), '--tip', 'nose'], "tip_frame 'nose'"),
     (['--urdf', str(PANDA_URDF), '--posture', '1'], 'posture has shape')])
 def test_show_robot_says_in_one_line_what_is_wrong(arguments, message, capsys, tmp_path):
@@ -177,3 +291,17 @@ def test_a_joint_that_mimics_another_stands_with_it():
 
 def test_parameters_know_both_kinds_of_link_shapes():
     assert RobotParameters().link_shapes == 'fitted'
+
+
+@pytest.mark.parametrize('options', [
+    ['--urdf', 'folder'], ['--urdf', 'latin'], ['--urdf', '~nouser/arm.urdf'],
+    ['--params', 'folder'], ['--params', 'latin'], ['--params', 'nothing.yaml'],
+    ['--urdf', str(PANDA_URDF), '--out', 'folder/picture.shape'],
+    ['--urdf', str(PANDA_URDF), '--out', 'nowhere/picture.png']])
+def test_show_robot_says_in_a_line_what_it_cannot_read_or_write(
+        tmp_path, monkeypatch, capsys, options):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'latin').write_bytes(b'<robot name="\xe9"/>')
+    assert show_robot(options) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith('show_robot: ')

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 import sys
@@ -20,7 +20,7 @@ from redundant_planner.analysis.figures import robot_picture
 from redundant_planner.core.errors import PlannerError, RobotError
 from redundant_planner.core.robot import Robot
 from redundant_planner.link_shapes import capsule_entry, collision_pieces, Fit, fitted_capsules
-from redundant_planner.resources import resolve
+from redundant_planner.resources import read_text, resolve
 from redundant_planner.robot_parameters import (
     build_robot,
     likely_tip,
@@ -68,7 +68,9 @@ def main(args: list[str] | None = None) -> int:
     try:
         parameters, capsules, folder = _parameters(options)
         began = time.monotonic()
-        robot = build_robot(parameters, urdf_text(parameters, folder), capsules, folder=folder)
+        robot = build_robot(
+            parameters, urdf_text(parameters, folder), capsules, folder=folder,
+            warn=lambda sentence: console.print(f'careful: {sentence}', style='yellow'))
         fits: Sequence[Fit] = ()
         points: list[tuple[str, Array]] = []
         if parameters.link_shapes == 'fitted' and not parameters.capsules:
@@ -80,7 +82,10 @@ def main(args: list[str] | None = None) -> int:
             except RobotError as error:
                 console.print(f'no meshes in the picture: {error}', style='yellow')
         posture = _posture(robot, options.posture)
-        robot_picture(options.out, robot, posture, points)
+        try:
+            robot_picture(options.out, robot, posture, points)
+        except (OSError, ValueError) as error:
+            raise PlannerError(f"the picture '{options.out}' cannot be made: {error}") from None
         console.print(_table(robot, fits, time.monotonic() - began))
         console.print(f'picture: {options.out}')
         print(parameter_file(parameters, robot), end='')
@@ -92,10 +97,8 @@ def main(args: list[str] | None = None) -> int:
 
 def _parameters(
     options: argparse.Namespace,
-) -> tuple[RobotParameters, dict[str, dict[str, Any]], Path | None]:
+) -> tuple[RobotParameters, dict[str, Mapping[str, Any]], Path | None]:
     if options.params is not None:
-        if not options.params.is_file():
-            raise PlannerError(f"'{options.params}' is not a file")
         parameters, capsules = read_robot_parameters(options.params)
         changes = {key: value for key, value in (
             ('urdf', options.urdf), ('tip_frame', options.tip), ('base_frame', options.base))
@@ -103,7 +106,7 @@ def _parameters(
         return replace(parameters, **changes), capsules, options.params.parent
     if not options.urdf:
         raise PlannerError('give --urdf or --params')
-    text = resolve(options.urdf).read_text()
+    text = read_text(resolve(options.urdf))
     tip = options.tip or likely_tip(text)
     parameters = RobotParameters(urdf=options.urdf, tip_frame=tip, base_frame=options.base)
     slow = _without_speed(text, parameters)

@@ -237,6 +237,7 @@ def merged(groups: Sequence[tuple[Shape, Array]]) -> list[tuple[Shape, Array, li
         fresh = []
         if shape.volume <= _allowed(kept, pair):
             members = sorted(kept[pair[0]][2] + kept[pair[1]][2])
+            points = convex_hull(points).corners  # the others lie inside any capsule around them
             number = max(kept) + 1
             for i in pair:
                 del kept[i]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+import reprlib
+from typing import Any
 
-# No parameter's name is longer, and what is longer is not compared with them.
-_LONGEST_NAME = 100
-# More unknown names than this are counted, not listed.
+# Messages list no more names than this, and no more characters of each.
 _LISTED = 12
+_LONGEST_NAME = 100
 
 
 class PlannerError(ValueError):
@@ -41,8 +42,20 @@ class ScenarioError(PlannerError):
 def known(names: Iterable[str]) -> str:
     """Return the names as a short list for the end of a message."""
     names = list(names)
-    shown = ', '.join(f"'{name}'" for name in names[:12])
-    return f'{shown} and {len(names) - 12} more' if len(names) > 12 else shown or 'none'
+    listed = ', '.join(f"'{str(name)[:_LONGEST_NAME]}'" for name in names[:_LISTED])
+    more = len(names) - _LISTED
+    return f'{listed} and {more} more' if more > 0 else listed or 'none'
+
+
+def shown(value: Any) -> str:
+    """Return a value as it would be written in Python, but no longer than a message may be."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = short.maxlong = 80
+    short.maxlevel = 3
+    try:
+        return short.repr(value)
+    except ValueError:  # a whole number with more digits than Python likes to write
+        return f'a very large {type(value).__name__}'
 
 
 def unknown_names(given: Iterable[str], known: Iterable[str]) -> list[str]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.compiled import compiled, Vector
 from redundant_planner.core.errors import known, RobotError
+from redundant_planner.core.urdf import MOVABLE, read_urdf
 
 Array = npt.NDArray[np.float64]
 
@@ -105,27 +105,14 @@ def joint_ranges(urdf: str) -> JointRanges:
     Raises:
         RobotError: the text is not a URDF, has no movable joint, or a joint lacks its limits.
     """
-    try:
-        root = ElementTree.fromstring(urdf)
-    except ElementTree.ParseError as error:
-        raise RobotError(f'the URDF is not well-formed XML: {error}') from None
-    names, low, high, rate = [], [], [], []
-    for joint in root.findall('joint'):
-        kind, name = joint.get('type'), joint.get('name', '')
-        if kind not in ('revolute', 'prismatic', 'continuous') or joint.find('mimic') is not None:
-            continue
-        limit = joint.find('limit')
-        if limit is None and kind != 'continuous':
-            raise RobotError(f"joint '{name}' of the URDF has no <limit>")
-        value = {key: float(limit.get(key, 0.0)) if limit is not None else 0.0
-                 for key in ('lower', 'upper', 'velocity')}
-        names.append(name)
-        low.append(-np.inf if kind == 'continuous' else value['lower'])
-        high.append(np.inf if kind == 'continuous' else value['upper'])
-        rate.append(value['velocity'] or np.inf)
-    if not names:
+    joints = [joint for joint in read_urdf(urdf).joints
+              if joint.kind in MOVABLE and joint.mimic is None]
+    if not joints:
         raise RobotError('the URDF has no movable joint')
-    return JointRanges(tuple(names), np.array(low), np.array(high), np.array(rate))
+    return JointRanges(
+        tuple(joint.name for joint in joints), np.array([joint.lower for joint in joints]),
+        np.array([joint.upper for joint in joints]),
+        np.array([joint.velocity or np.inf for joint in joints]))
 
 
 class SimulatedArm:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 from typing import Any, NamedTuple
-import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +23,9 @@ from redundant_planner.core.compiled import (
     Stacks,
     Vector,
 )
-from redundant_planner.core.errors import known, ObstacleError, RobotError, StateError
+from redundant_planner.core.errors import known, ObstacleError, RobotError, shown, StateError
 from redundant_planner.core.self_collision import link_distances
+from redundant_planner.core.urdf import Joint, LARGEST, MOVABLE, read_urdf, Urdf
 
 Array = npt.NDArray[np.float64]
 
@@ -37,6 +37,12 @@ COMMAND_FRAMES = ('base', 'tool')
 _PAIR_SAMPLES = 500
 _TOUCH_SHARE = 0.1
 _NEVER_NEAR = 0.02
+
+# No arm has more joints, or more capsules: every one of them costs time in every tick.
+_MOST_JOINTS = 50
+_MOST_CAPSULES = 500
+# The planner's arithmetic keeps its digits within these [rad/s, m/s; per s²].
+_SLOWEST, _FASTEST = 1e-6, 1e6
 
 
 @dataclass(frozen=True)
@@ -64,16 +70,18 @@ class Capsule:
             ObstacleError: an end point is not three finite numbers, or the radius is negative.
         """
         for field in ('start', 'end'):
-            point = np.array(getattr(self, field), dtype=float)
-            if point.shape != (3,) or not np.isfinite(point).all():
+            point = floats_of(getattr(self, field))
+            if point.shape != (3,) or not (np.abs(point) <= LARGEST).all():
                 raise ObstacleError(
-                    f"capsule '{self.name}': {field} is {point.tolist()}; "
-                    'it takes three finite coordinates [m]')
+                    f"capsule '{self.name}': {field} is {shown(getattr(self, field))}; it takes "
+                    f'three coordinates within ±{LARGEST:g} [m]')
             point.setflags(write=False)
             object.__setattr__(self, field, point)
-        if not (np.isfinite(self.radius) and self.radius >= 0.0):
-            raise ObstacleError(
-                f"capsule '{self.name}': radius is {self.radius}; it must be 0 or more [m]")
+        radius = floats_of(self.radius)
+        if radius.shape != () or not 0.0 <= radius <= LARGEST:
+            raise ObstacleError(f"capsule '{self.name}': radius is {shown(self.radius)}; it must "
+                                f'lie in [0, {LARGEST:g}] [m]')
+        object.__setattr__(self, 'radius', float(radius))
 
 
 class Kinematics(NamedTuple):
@@ -160,12 +168,12 @@ class Robot:
             ObstacleError: a capsule is not a valid shape.
         """
         self.urdf = urdf
-        full_model, continuous, mimics = _read_model(urdf)
-        self.name: str = full_model.name
-        self.base_frame = base_frame or _root_link(full_model)
+        described = read_urdf(urdf)
+        self.name: str = described.name
+        self.base_frame = base_frame or described.root
         self.tip_frame = tip_frame
-        self._model = _reduce_to_chain(
-            full_model, self.base_frame, tip_frame, dict(locked_positions or {}), mimics)
+        chain = _chain(described, self.base_frame, tip_frame, locked_positions or {})
+        self._model = _model_of_chain(described, chain, self.base_frame, locked_positions or {})
         self._data = self._model.createData()
         self.joint_names: tuple[str, ...] = tuple(self._model.names)[1:]
         self.axes = _checked_axes(axes)
@@ -174,20 +182,21 @@ class Robot:
                 f"command_frame is '{command_frame}'; it must be one of {known(COMMAND_FRAMES)}")
         self.command_frame = command_frame
         self.in_tool = command_frame == 'tool'
-        unlimited = np.array([name in continuous for name in self.joint_names])
-        self.position_min = _read_only(
-            np.where(unlimited, -np.inf, self._model.lowerPositionLimit))
-        self.position_max = _read_only(
-            np.where(unlimited, np.inf, self._model.upperPositionLimit))
+        self.position_min, self.position_max = (
+            _read_only(np.array(ends)) for ends in zip(*_ranges(chain)))
         self.velocity_max = self._limits(
             'velocity_max', self._model.velocityLimit if velocity_max is None else velocity_max)
         self.acceleration_max = self._limits('acceleration_max', acceleration_max)
 
         self._tip_id = _link_id(self._model, tip_frame)
         self.rows = np.array([AXES.index(axis) for axis in self.axes], dtype=np.intp)
-        self._joints = (self._data.J.T, *_placements(self._data))
+        # Of a single joint Pinocchio shows J as a vector.
+        self._joints = (self._data.J.T.reshape(-1, 6), *_placements(self._data))
         self.capsules = tuple(
             self._default_capsules(link_radius) if capsules is None else capsules)
+        if len(self.capsules) > _MOST_CAPSULES:
+            raise RobotError(f'{len(self.capsules)} capsules are more than the planner can keep '
+                             f'an eye on; give {_MOST_CAPSULES} at most')
         self._place_capsules()
         tip = self._model.frames[self._tip_id]
         self.chain: tuple[Any, ...] = tuple(Chain(
@@ -316,17 +325,17 @@ class Robot:
         return twist
 
     def _limits(self, what: str, values: Sequence[float] | float) -> Array:
-        limits = np.array(values, dtype=float)
+        limits = floats_of(values)
         if limits.ndim > 1 or limits.size not in (1, self.n):
             raise RobotError(
                 f'{what} has {limits.size} values; it takes 1 or {self.n}, one per joint: '
                 f'{known(self.joint_names)}')
         limits = np.broadcast_to(limits.reshape(-1), (self.n,)).copy()
         for name, limit in zip(self.joint_names, limits):
-            if not (np.isfinite(limit) and limit > 0.0):
+            if not _SLOWEST <= limit <= _FASTEST:
                 raise RobotError(
-                    f"{what} of joint '{name}' is {limit}; it must be a positive number "
-                    '(give it as a parameter where the URDF has none)')
+                    f"{what} of joint '{name}' is {limit}; it must lie in [{_SLOWEST:g}, "
+                    f'{_FASTEST:g}] (give it as a parameter where the URDF has none)')
         return _read_only(limits)
 
     def _default_capsules(self, radius: float) -> list[Capsule]:
@@ -507,58 +516,15 @@ def _read_only(array: Array) -> Array:
     return array
 
 
-class _Mimic(NamedTuple):
-    """A joint that stands at multiplier × another one's position + offset."""
-
-    leader: str
-    multiplier: float
-    offset: float
-
-
-def _read_model(urdf: str) -> tuple[pin.Model, set[str], dict[str, _Mimic]]:
-    """Build the whole robot with one scalar position per joint.
-
-    Also name its continuous joints, and those that follow others.
-
-    Pinocchio gives a continuous joint two coordinates (cos, sin); as an unlimited revolute
-    joint it has one, and every posture here is a plain vector.
-    """
+def floats_of(values: Any) -> Array:
+    """Return a number or a list of them as floats; a single NaN where it is something else."""
+    # A list of lists of lists may stand for more numbers than there is memory.
+    if isinstance(values, Sequence) and any(isinstance(value, Sequence) for value in values):
+        return np.array(np.nan)
     try:
-        root = ElementTree.fromstring(urdf)
-    except ElementTree.ParseError as error:
-        raise RobotError(f'the URDF is not well-formed XML: {error}') from None
-    if root.tag != 'robot':
-        raise RobotError(f"the URDF's outermost element is <{root.tag}>; it must be <robot>")
-    continuous, mimics = set(), {}
-    tell_apart(root)
-    for joint in root.findall('joint'):
-        mimic = joint.find('mimic')
-        if mimic is not None:
-            mimics[joint.get('name', '')] = _Mimic(
-                mimic.get('joint', ''), float(mimic.get('multiplier', 1.0)),
-                float(mimic.get('offset', 0.0)))
-            joint.remove(mimic)
-        if joint.get('type') == 'continuous':
-            continuous.add(joint.get('name', ''))
-            joint.set('type', 'revolute')
-            limit = joint.find('limit')
-            if limit is None:
-                limit = ElementTree.SubElement(joint, 'limit', effort='0', velocity='0')
-            limit.set('lower', '-1e9')
-            limit.set('upper', '1e9')
-    try:
-        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding='unicode'))
-    except (ValueError, RuntimeError) as error:
-        raise RobotError(f'the URDF does not describe a robot: {error}') from None
-    return model, continuous, mimics
-
-
-def tell_apart(root: ElementTree.Element) -> None:
-    """Rename the fixed joints of a URDF that are called like a link: Pinocchio mixes them up."""
-    links = {link.get('name') for link in root.findall('link')}
-    for joint in root.findall('joint'):
-        if joint.get('type') == 'fixed' and joint.get('name') in links:
-            joint.set('name', f'{joint.get("name")} (joint)')
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return np.array(np.nan)
 
 
 def _links(model: pin.Model) -> list[str]:
@@ -572,58 +538,94 @@ def _link_id(model: pin.Model, link: str) -> int:
     return int(model.getFrameId(link))
 
 
-def _root_link(model: pin.Model) -> str:
-    return _links(model)[0]
+def _chain(
+    urdf: Urdf, base_frame: str, tip_frame: str, locked_positions: Mapping[str, float],
+) -> list[Joint]:
+    """Return the joints between two links that move, the first of them nearest to the base.
 
-
-def _reduce_to_chain(
-    model: pin.Model, base_frame: str, tip_frame: str, locked_positions: dict[str, float],
-    mimics: Mapping[str, _Mimic],
-) -> pin.Model:
-    """Lock every joint outside base → tip and make the base frame Pinocchio's world."""
+    Raises:
+        RobotError: naming the link or joint that makes no chain.
+    """
     for role, frame in (('base_frame', base_frame), ('tip_frame', tip_frame)):
-        if not model.existFrame(frame, pin.FrameType.BODY):
-            raise RobotError(
-                f"{role} '{frame}' is not in the URDF; it has {known(_links(model))}")
+        if frame not in urdf.links:
+            raise RobotError(f"{role} '{frame}' is not in the URDF; it has {known(urdf.links)}")
+    movable = [joint.name for joint in urdf.joints if joint.kind in MOVABLE]
     for name, position in locked_positions.items():
-        if name not in tuple(model.names)[1:]:
-            raise RobotError(
-                f"locked joint '{name}' is not a movable joint of the URDF; "
-                f'it has {known(tuple(model.names)[1:])}')
-        if not np.isfinite(position):
+        if name not in movable:
+            raise RobotError(f"locked joint '{name}' is not a movable joint of the URDF; "
+                             f'it has {known(movable)}')
+        if not abs(position) <= LARGEST:
             raise RobotError(f"locked joint '{name}' is held at {position}; "
-                             'it must be a finite number [rad, m]')
+                             f'it must be a number within ±{LARGEST:g} [rad, m]')
 
-    tip_joint = model.frames[_link_id(model, tip_frame)].parentJoint
-    base_joint = model.frames[_link_id(model, base_frame)].parentJoint
-    tip_support = list(model.supports[tip_joint])
-    base_support = list(model.supports[base_joint])
-    if tip_support[:len(base_support)] != base_support:
-        raise RobotError(
-            f"tip_frame '{tip_frame}' does not hang from base_frame '{base_frame}'")
-    chain = [i for i in tip_support[len(base_support):]
-             if model.names[i] not in locked_positions]
+    between = urdf.joints_above(tip_frame)
+    if base_frame != urdf.root:
+        links = [joint.child for joint in between]
+        if base_frame not in links:
+            raise RobotError(
+                f"tip_frame '{tip_frame}' does not hang from base_frame '{base_frame}'")
+        between = between[links.index(base_frame) + 1:]
+    ends = f"base_frame '{base_frame}' and tip_frame '{tip_frame}'"
+    chain = []
+    for joint in between:
+        if joint.kind == 'fixed' or joint.name in locked_positions:
+            continue
+        if joint.kind not in MOVABLE:
+            raise RobotError(f"joint '{joint.name}' between {ends} is {joint.kind}; a chain "
+                             f'takes {known(MOVABLE)}')
+        if joint.mimic is not None:
+            raise RobotError(
+                f"joint '{joint.name}' between base_frame and tip_frame mimics "
+                f"'{joint.mimic.leader}'; a chain takes joints that move on their own")
+        chain.append(joint)
     if not chain:
-        raise RobotError(
-            f"no movable joint lies between base_frame '{base_frame}' and "
-            f"tip_frame '{tip_frame}'")
+        raise RobotError(f'no movable joint lies between {ends}')
+    if len(chain) > _MOST_JOINTS:
+        raise RobotError(f'{len(chain)} movable joints lie between {ends}; '
+                         f'a chain takes {_MOST_JOINTS} at most')
+    return chain
 
-    followers = [model.names[i] for i in chain if model.names[i] in mimics]
-    if followers:
-        raise RobotError(
-            f"joint '{followers[0]}' between base_frame and tip_frame mimics "
-            f"'{mimics[followers[0]].leader}'; a chain takes joints that move on their own")
 
+def _ranges(chain: Sequence[Joint]) -> list[tuple[float, float]]:
+    """Return the position limits of the chain's joints, infinite for continuous ones."""
+    for joint in chain:
+        if joint.kind == 'continuous':
+            continue
+        if max(abs(joint.lower), abs(joint.upper)) > LARGEST:
+            raise RobotError(
+                f"joint '{joint.name}' has the limits {joint.lower} and {joint.upper}; they must "
+                f'lie within ±{LARGEST:g} (a joint that turns without end is continuous)')
+        if joint.lower == joint.upper:
+            raise RobotError(f"joint '{joint.name}' cannot move: lower and upper of its limit are "
+                             f'{joint.lower}; correct them or lock it')
+    return [(joint.lower, joint.upper) for joint in chain]
+
+
+def _model_of_chain(
+    urdf: Urdf, chain: Sequence[Joint], base_frame: str, locked_positions: Mapping[str, float],
+) -> pin.Model:
+    """Lock every joint outside the chain and make the base frame Pinocchio's world."""
+    try:
+        model = pin.buildModelFromXML(urdf.for_pinocchio())
+    except (ValueError, RuntimeError) as error:
+        raise RobotError(f'the URDF does not describe a robot: {error}') from None
+    names = tuple(model.names)
+    number = {name: i for i, name in enumerate(names)}
+    moving = {joint.name for joint in chain}
     posture = np.clip(pin.neutral(model), model.lowerPositionLimit, model.upperPositionLimit)
+
+    def stand(name: str, position: float) -> None:
+        posture[model.joints[number[name]].idx_q] = position
+
     for name, position in locked_positions.items():
-        posture[model.joints[model.getJointId(name)].idx_q] = position
-    for name, mimic in mimics.items():
-        leader = model.getJointId(mimic.leader)
-        known_both = model.existJointName(name) and leader < model.njoints
-        if known_both and name not in locked_positions and leader not in chain:
-            posture[model.joints[model.getJointId(name)].idx_q] = (
-                mimic.multiplier * posture[model.joints[leader].idx_q] + mimic.offset)
-    locked = [i for i in range(1, model.njoints) if i not in chain]
+        stand(name, position)
+    for joint in urdf.joints:
+        follows = joint.mimic
+        if follows and joint.name not in locked_positions and (
+                follows.leader in number and follows.leader not in moving):
+            leader = posture[model.joints[number[follows.leader]].idx_q]
+            stand(joint.name, follows.multiplier * leader + follows.offset)
+    locked = [i for i, name in enumerate(names) if i and name not in moving]
     try:
         reduced = pin.buildReducedModel(model, locked, posture)
     except ValueError as error:

@@ -27,6 +27,7 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import Robot
 from redundant_planner.core.safety import braked
+from redundant_planner.node_parameters import PlannerNodeParameters
 from redundant_planner.nodes import process
 from redundant_planner.nodes.beat import Beat, wake_up_in_time
 from redundant_planner.nodes.command_input import CommandInput, sender_names
@@ -35,12 +36,7 @@ from redundant_planner.nodes.inbox import Inbox
 from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.obstacle_book import ObstacleBook
-from redundant_planner.nodes.ros_parameters import (
-    declare,
-    declare_entries,
-    on_change,
-    PlannerNodeParameters,
-)
+from redundant_planner.nodes.ros_parameters import declare, declare_entries, on_change
 from redundant_planner.nodes.state_report import diagnostics, LoopState, RobotMarkers, status_of
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.recorded_tick import RecordedTick, TickKind
@@ -175,7 +171,8 @@ class PlannerNode(process.EndableNode):
 
     def _start(self, urdf: str, static: list[Any]) -> None:
         robot = build_robot(
-            self._robot_parameters, urdf, self._capsules, say=self.get_logger().info)
+            self._robot_parameters, urdf, self._capsules, say=self.get_logger().info,
+            warn=self.get_logger().warning)
         self._planner = Planner(robot, self._planner_parameters)
         self._position_command = PositionCommand(
             robot.position_min, robot.position_max, self._settings.position_tolerance)

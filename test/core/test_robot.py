@@ -17,6 +17,9 @@ import pinocchio as pin
 import pytest
 
 from redundant_planner.core.errors import ObstacleError, RobotError, StateError
+from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import Capsule, Robot
 
 
@@ -125,6 +128,50 @@ def test_joints_outside_the_chain_are_held(panda):
     assert panda.joint_names == tuple(f'panda_joint{i}' for i in range(1, 8))
 
 
+def with_joint1(kind):
+    return planar_urdf().replace('name="joint1" type="revolute"', f'name="joint1" type="{kind}"')
+
+
+@pytest.mark.parametrize('kind', ['floating', 'planar'])
+def test_floating_and_planar_joints_stand_still_outside_the_chain(kind):
+    inside, outside = {'tip_frame': 'tip'}, {'tip_frame': 'tip', 'base_frame': 'link1'}
+    with pytest.raises(RobotError, match=f"joint 'joint1' between .* is {kind}; a chain takes"):
+        Robot(with_joint1(kind), axes=('vx', 'vy'), **inside)
+    robot = Robot(with_joint1(kind), axes=('vx', 'vy'), **outside)
+    expected = make_planar(base_frame='link1')
+    for q in random_postures(robot, 3):
+        np.testing.assert_array_equal(robot.kinematics(q).tip_position,
+                                      expected.kinematics(q).tip_position)
+
+
+@pytest.mark.parametrize(('limits', 'message'), [
+    ('lower="-1e308" upper="1e308"', r'a joint that turns without end is continuous'),
+    ('lower="0" upper="0"', r"joint 'joint1' cannot move"),
+    ('', r"joint 'joint1' cannot move"),
+])
+def test_limits_that_a_chain_cannot_have_are_harmless_outside_it(limits, message):
+    text = planar_urdf().replace('lower="-2.5" upper="2.5"', limits, 1)
+    with pytest.raises(RobotError, match=message):
+        Robot(text, 'tip', axes=('vx', 'vy'))
+    assert Robot(text, 'tip', base_frame='link1', axes=('vx', 'vy')).n == 2
+
+
+def test_a_chain_of_one_joint_plans():
+    robot = Robot(planar_urdf(('revolute',), (0.5,)), 'tip', axes=('vx',), link_radius=0.05)
+    for q in (0.4, -0.9):
+        arm = robot.kinematics([q])
+        np.testing.assert_allclose(arm.tip_position, [0.5 * np.cos(q), 0.5 * np.sin(q), 0.0])
+        np.testing.assert_allclose(arm.jacobian, [[-0.5 * np.sin(q)]])
+    planner = Planner(robot, PlannerParameters(singularity_margin=0.0))
+    result = planner.step(np.array([0.4]), np.array([0.01, 0, 0, 0, 0, 0]), Scene.of([]), 0.004)
+    assert result.dq.shape == (1,) and -1.0 < result.dq[0] < 0.0
+
+
+def test_more_joints_than_any_arm_has_are_refused():
+    with pytest.raises(RobotError, match=r'51 movable joints .* takes 50 at most'):
+        Robot(planar_urdf(('revolute',) * 51, (0.1,) * 51), 'tip')
+
+
 def test_results_are_the_callers_to_keep(panda):
     first = panda.kinematics(PANDA_READY)
     kept = {name: np.array(value) for name, value in first._asdict().items()}
@@ -150,6 +197,9 @@ def test_results_are_the_callers_to_keep(panda):
     ({'locked_positions': {'joint1': np.nan}}, r"locked joint 'joint1' is held at nan"),
     ({'velocity_max': [1.0, 2.0]}, r'velocity_max has 2 values; it takes 1 or 3'),
     ({'acceleration_max': -1.0}, r"acceleration_max of joint 'joint1' is -1.0"),
+    ({'acceleration_max': 1e308}, r"acceleration_max of joint 'joint1' is 1e\+308; it must"),
+    ({'velocity_max': 'fast'}, r"velocity_max of joint 'joint1' is nan; it must lie in"),
+    ({'locked_positions': {'joint1': 1e300}}, r"joint 'joint1' is held at 1e\+300; it must be a"),
     ({'capsules': [Capsule('arm', 'nose', np.zeros(3), np.ones(3), 0.1)]},
      r"capsule 'arm': the robot has no frame 'nose'"),
 ])
@@ -160,7 +210,9 @@ def test_bad_descriptions_are_refused_by_name(change, message):
 
 
 @pytest.mark.parametrize(('start', 'radius'), [
-    ([0.0, 0.0], 0.1), ([0.0, 0.0, np.nan], 0.1), ([0.0, 0.0, 0.0], -0.1)])
+    ([0.0, 0.0], 0.1), ([0.0, 0.0, np.nan], 0.1), ([0.0, 0.0, 0.0], -0.1),
+    ([0.0, 0.0, 1e300], 0.1), ('abc', 0.1), (None, 0.1), ([[0.0] * 9] * 9, 0.1), ({}, 0.1),
+    ([0.0, 0.0, 0.0], 'thick'), ([0.0, 0.0, 0.0], [0.1]), ([0.0, 0.0, 0.0], 1e300)])
 def test_bad_capsules_are_refused(start, radius):
     with pytest.raises(ObstacleError, match="capsule 'arm'"):
         Capsule('arm', 'link1', start, np.ones(3), radius)
