@@ -156,11 +156,11 @@ def build_robot(
         return robot_with([_capsule(name, capsules.get(name, {})) for name in p.capsules])
     if p.link_shapes == 'straight':
         return robot_with(None)
+    bare = robot_with([])
     if say is not None:
         kept = ('once for all starts to come' if cache_folder() is not None else
                 'at every start: there is no cache folder that nobody else can write to')
         say(f"fitting capsules to the URDF's collision geometry, {kept}")
-    bare = robot_with([])
     fits = fitted_capsules(bare, urdf_folder(p, folder))
     if warn is not None and (unprotected := links_without_shape(bare)):
         warn(f'no collision geometry, so nothing keeps obstacles away: {known(unprotected)}')
