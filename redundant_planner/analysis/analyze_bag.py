@@ -186,7 +186,8 @@ def main(args: list[str] | None = None) -> int:
             raise PlannerError(f'--begin {options.begin:g} must lie before --end {options.end:g}')
         analyses = []
         for bag in options.bags:
-            with Progress(console=Console(stderr=True), transient=True) as bar:
+            with Progress(console=Console(stderr=True), transient=True,
+                          disable=not sys.stderr.isatty()) as bar:
                 task = bar.add_task(f"reading '{escape(bag.name)}'", total=1.0)
                 analyses.append(analyse(
                     bag, params=options.params, urdf=options.urdf, tip=options.tip,

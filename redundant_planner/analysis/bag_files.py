@@ -18,7 +18,7 @@ from pathlib import Path
 import sqlite3
 import struct
 import sys
-from typing import Any, BinaryIO, NamedTuple, Protocol
+from typing import BinaryIO, NamedTuple, Protocol
 from urllib.parse import quote
 import zlib
 
@@ -42,7 +42,8 @@ _SQLITE = b'SQLite format 3\0'
 _ZSTD = b'\x28\xb5\x2f\xfd'
 # A record of an MCAP file: its kind and length, then its content.
 _HEAD = struct.Struct('<BQ')
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+_STATISTICS, _DATA_END = 0x0B, 0x0F
 # Of a message: channel, sequence number, time of recording and of publishing.
 _MESSAGE_HEAD = struct.Struct('<HIQQ')
 # Of a chunk: first and last time, size and checksum of what is packed in it.
@@ -152,15 +153,19 @@ def _opened(file: Path, folder: Path) -> BagFile:
 def _unpack_file(file: Path, target: Path) -> str:
     """Unpack a file as far as it goes; return what was wrong with it."""
     limit = _FILE_RATIO * file.stat().st_size
-    with zstd.open(file, 'rb') as packed, target.open('wb') as whole:
-        try:
-            while block := packed.read(_BLOCK):
-                whole.write(block)
-                if whole.tell() > limit:
-                    return (f"'{file.name}' unpacks to more than {_FILE_RATIO} times its size: "
-                            'the rest is left out')
-        except (zstd.ZstdError, EOFError) as error:
-            return f"'{file.name}' is damaged, and unpacked as far as it goes: {error}"
+    unpacker = zstd.ZstdDecompressor()
+    with file.open('rb') as packed, target.open('wb') as whole:
+        while not unpacker.eof:
+            more = packed.read(_BLOCK) if unpacker.needs_input else b''
+            if unpacker.needs_input and not more:
+                return f"'{file.name}' was cut off, and is unpacked as far as it goes"
+            try:
+                whole.write(unpacker.decompress(more, max_length=_BLOCK))
+            except zstd.ZstdError as error:
+                return f"'{file.name}' is damaged, and unpacked as far as it goes: {error}"
+            if whole.tell() > limit:
+                return (f"'{file.name}' unpacks to more than {_FILE_RATIO} times its size: the "
+                        'rest is left out')
     return ''
 
 
@@ -212,10 +217,17 @@ class McapFile:
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[int, str]] = {}
         self._damage: Counter[str] = Counter()
+        self._stated: int | None = None
         with path.open('rb') as stream:
             self._walk(stream, path.stat().st_size)
         for channel, (schema, topic) in self._channels.items():
             self.topics[channel] = topic, self._schemas.get(schema, '')
+        count = sum(self.counts.values())
+        if self._stated not in (None, count):
+            self._damage[f'it should hold {self._stated} messages, and {count} were found'] += 1
+        lost = sum(count for channel, count in self.counts.items() if channel not in self.topics)
+        if lost:
+            self._damage[f'{lost} messages are of no topic'] += 1
         self.problems += [f"'{printable(path.name)}': {what}, {count} times" if count > 1 else
                           f"'{printable(path.name)}': {what}"
                           for what, count in self._damage.items()]
@@ -261,6 +273,9 @@ class McapFile:
                 loose = None
             if kind == _CHUNK:
                 self._take_chunk(stream, begin, end)
+            elif kind == _STATISTICS and end - begin >= 8:
+                stream.seek(begin)
+                self._stated = struct.unpack('<Q', stream.read(8))[0]
             self.closed = kind == _FOOTER
         if loose is not None:
             self._take(stream, _Block(loose, self.whole - loose, '', self.whole - loose, 0))
@@ -452,6 +467,8 @@ class SqliteFile:
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH,
                               max(self.path.stat().st_size, 1_000_000))
         database.execute('PRAGMA trusted_schema = OFF')
+        # Without it sqlite refuses a file that was cut off; nothing is written either way.
+        database.execute('PRAGMA writable_schema = ON')
         tables = {name for name, in database.execute(
             "SELECT name FROM sqlite_master WHERE type = 'table' AND sql NOT LIKE '%VIRTUAL%'")}
         if not {'topics', 'messages'} <= tables:
@@ -480,23 +497,23 @@ class SqliteFile:
 
     def messages(self, chosen: Collection[int], first: int, last: int) -> Iterator[Message]:
         """Yield the messages of some channels with first ≤ time < last [ns], in order of time."""
-        numbers = ','.join(str(channel) for channel in chosen)
-        rows: Iterator[tuple[Any, ...]] = iter(self._database.execute(
-            f'SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({numbers}) '
-            'AND timestamp >= ? AND timestamp < ? '
-            # To sort them, all of them must be readable.
-            + ('ORDER BY timestamp' if self._sound else ''), (first, min(last, _LATEST))))
-        while True:
+        query = ('SELECT topic_id, timestamp, data FROM messages WHERE timestamp >= ? AND '
+                 f'timestamp < ? AND topic_id IN ({",".join(str(channel) for channel in chosen)})')
+        found = False
+        # To sort them, all of them must be readable; if not, they come as they were written.
+        for order in (' ORDER BY timestamp', '') if self._sound else ('',):
             try:
-                channel, time, raw = next(rows)
-            except StopIteration:
+                for channel, time, raw in self._database.execute(
+                        query + order, (first, min(last, _LATEST))):
+                    if _possible(channel, time) and isinstance(raw, bytes):
+                        found = True
+                        yield channel, time, raw
                 return
             except sqlite3.Error as error:
                 problem = f'the bag is damaged, and read as far as it goes: {error}'
                 self.problems += [problem] if problem not in self.problems else []
-                return
-            if _possible(channel, time) and isinstance(raw, bytes):
-                yield channel, time, raw
+                if found:
+                    return
 
 
 def _possible(channel: object, time: object) -> bool:

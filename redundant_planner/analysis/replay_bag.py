@@ -285,7 +285,8 @@ def _rows(
     positions, velocities = np.empty((count, robot.n)), np.empty((count, robot.n))
     previous = ticks[0][1].time
     for i, (_, tick) in enumerate(track(
-            ticks, description='replaying', console=Console(stderr=True), transient=True)):
+            ticks, description='replaying', console=Console(stderr=True), transient=True,
+            disable=not sys.stderr.isatty())):
         if measured:
             q = tick.q
         # What was taken in after the tick before, with that tick's time.

@@ -183,6 +183,15 @@ def write_report(folder: Path, analyses: list[Analysis]) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PlannerError(f"'{folder}' cannot be written to: {error}") from None
+    file = folder / 'report.html'
+    file.write_text(page_of(analyses), encoding='utf-8')
+    for analysis in analyses:
+        write_figures(folder, analysis)
+    return file
+
+
+def page_of(analyses: list[Analysis]) -> str:
+    """Return the page of one or more analyses as HTML."""
     title = ' and '.join(f"'{analysis.name}'" for analysis in analyses)
     views = [_view(analysis) if analysis.robot is not None else None for analysis in analyses]
     body = ''.join(_section(i, *both) for i, both in enumerate(zip(analyses, views)))
@@ -191,12 +200,7 @@ def write_report(folder: Path, analyses: list[Analysis]) -> Path:
     texts = {'TITLE': escape(title), 'BODY': body, 'PLOTLY': get_plotlyjs(),
              'DATA': _for_script([_data(*both) for both in zip(analyses, views)])}
     # All at once: a name in the bag may be one of the marks.
-    page = re.sub(f'__({"|".join(texts)})__', lambda mark: texts[mark[1]], _PAGE)
-    file = folder / 'report.html'
-    file.write_text(page, encoding='utf-8')
-    for analysis in analyses:
-        _figures(folder, analysis)
-    return file
+    return re.sub(f'__({"|".join(texts)})__', lambda mark: texts[mark[1]], _PAGE)
 
 
 def _for_script(data: Any) -> str:
@@ -353,14 +357,17 @@ def _ellipsoids(scene: Scene, rows: npt.NDArray[np.intp]) -> Array:
     return scaled @ scene.rotations[rows].transpose(0, 2, 1) + scene.centers[rows, None]
 
 
-def _figures(folder: Path, analysis: Analysis) -> None:
+def write_figures(
+    folder: Path, analysis: Analysis, suffixes: tuple[str, ...] = ('png', 'svg'),
+) -> None:
+    """Write the figures of an analysis to a folder."""
     curves = analysis.curves
     chosen = np.unique(np.linspace(0, len(curves.times) - 1, _CURVE).astype(int))
     times = curves.times[chosen] - curves.times[0]
     names, title = analysis.joint_names[:_DIAGRAMS], f"'{analysis.name}'"
     if len(names) < len(analysis.joint_names):
         title += f': the first {len(names)} of {len(analysis.joint_names)} joints'
-    for suffix in ('png', 'svg'):
+    for suffix in suffixes:
         for kind, label, values in (
                 ('displacement', 'displacement [rad, m]', curves.positions - curves.positions[0]),
                 ('velocity', 'velocity [rad/s, m/s]', curves.velocities),
