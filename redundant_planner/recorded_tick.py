@@ -17,6 +17,8 @@ Array = npt.NDArray[np.float64]
 # A stamp in nanoseconds is more than a float holds: seconds and nanoseconds apart are not.
 _BILLION = 10**9
 _HEAD = 7 + 6
+# Stamps count seconds in 32 bits, and every other number is smaller.
+_LARGEST = 2.0**32
 
 
 class TickKind(IntEnum):
@@ -60,7 +62,7 @@ class RecordedTick(NamedTuple):
         """Return the tick that `numbers` gives.
 
         Raises:
-            StateError: there are too few numbers, or the kind is none.
+            StateError: there are too few numbers, the kind is none, or a number is impossible.
         """
         row = np.array(numbers, dtype=float)
         if row.ndim != 1 or len(row) <= _HEAD:
@@ -68,5 +70,13 @@ class RecordedTick(NamedTuple):
         if row[3] not in list(TickKind):
             raise StateError(f'a recorded tick is of kind {row[3]:g}; it must be one of '
                              f'{[int(kind) for kind in TickKind]}')
+        # Of all numbers, `preview_elapsed` alone may be NaN.
+        whole, rest = row[[0, 1, 4, 5]], np.delete(row, 6)
+        if not (np.abs(rest) <= _LARGEST).all() or np.isinf(row[6]):
+            raise StateError('a recorded tick has numbers that are not finite, or beyond '
+                             f'{_LARGEST:g}')
+        if (whole != np.round(whole)).any() or (whole < 0.0).any():
+            raise StateError(f'a recorded tick has stamp and counts {whole.tolist()}; they must '
+                             'be whole numbers, 0 or more')
         return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
                    int(row[4]), int(row[5]), float(row[6]), row[7:_HEAD], row[_HEAD:])

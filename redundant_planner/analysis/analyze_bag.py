@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from redundant_planner.analysis.bag_analysis import analyse, Analysis, reduction
+from redundant_planner.analysis.printable import printable
 from redundant_planner.core.errors import PlannerError
 
 _MEASURES = {
@@ -64,7 +66,7 @@ def as_text(value: Any) -> str:
     """Return a measure as it stands in a table."""
     if value is None:
         return '–'
-    return f'{value:.5g}' if isinstance(value, float) else str(value)
+    return f'{value:.5g}' if isinstance(value, float) else printable(str(value))
 
 
 def motion_measures(analysis: Analysis) -> dict[str, Any]:
@@ -149,7 +151,7 @@ def write_csv(path: Path, analysis: Analysis) -> None:
     rows = np.column_stack((
         curves.times, curves.positions, curves.velocities, curves.accelerations,
         curves.clearance, curves.scale, curves.path_error, curves.tips))
-    with path.open('w', newline='') as file:
+    with path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
         writer.writerow(head)
         writer.writerows(rows.tolist())
@@ -174,17 +176,19 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--report', type=Path, metavar='DIR',
                         help='write an HTML page with curves and a 3-D view, and figures')
     options = parser.parse_args(args)
-    console = Console()
+    # Names in a bag are no markup.
+    console = Console(markup=False, emoji=False)
     console.width = max(console.width, _WIDTH)
     try:
         if options.params is not None and not options.params.is_file():
             raise PlannerError(f"'{options.params}' is not a file")
-        if options.begin >= options.end:
+        if not options.begin < options.end:
             raise PlannerError(f'--begin {options.begin:g} must lie before --end {options.end:g}')
         analyses = []
         for bag in options.bags:
-            with Progress(console=Console(stderr=True), transient=True) as bar:
-                task = bar.add_task(f"reading '{bag.name}'", total=1.0)
+            with Progress(console=Console(stderr=True), transient=True,
+                          disable=not sys.stderr.isatty()) as bar:
+                task = bar.add_task(f"reading '{escape(bag.name)}'", total=1.0)
                 analyses.append(analyse(
                     bag, params=options.params, urdf=options.urdf, tip=options.tip,
                     namespace=options.namespace, begin=options.begin, end=options.end,
@@ -202,17 +206,14 @@ def main(args: list[str] | None = None) -> int:
             if len(analyses) > 1:
                 content['reductions'] = {
                     other.name: reductions(analyses[0], other) for other in analyses[1:]}
-            options.json.write_text(json.dumps(content, indent=1))
+            options.json.write_text(json.dumps(content, indent=1), encoding='utf-8')
         if options.csv is not None:
             write_csv(options.csv, analyses[0])
         if options.report is not None:
             from redundant_planner.analysis.report import write_report
             console.print(f'report: {write_report(options.report, analyses)}')
-    except PlannerError as error:
-        print(f'analyze_bag: {error}', file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f'analyze_bag: {error}', file=sys.stderr)
+    except (PlannerError, OSError) as error:
+        print(f'analyze_bag: {printable(str(error))}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print('analyze_bag: interrupted', file=sys.stderr)

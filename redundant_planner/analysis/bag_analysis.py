@@ -10,18 +10,25 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from redundant_planner.analysis import metrics
+from redundant_planner.analysis.bag_files import RecordingError
+from redundant_planner.analysis.printable import printable
+from redundant_planner.analysis.recorded_configuration import (
+    configuration_of,
+    number_of,
+    recorded_obstacles,
+)
 from redundant_planner.analysis.recording import (
     as_it_is,
     Bag,
-    columns_of,
+    ChosenJoints,
     Event,
-    JointChunk,
+    GAP,
+    JointsMissingError,
+    LeftOut,
     open_bag,
-    RecordingError,
-    twist_of,
+    sound_twist,
 )
 from redundant_planner.core import drift
 from redundant_planner.core.drift import Pose
@@ -41,20 +48,19 @@ from redundant_planner.robot_parameters import (
     build_robot,
     likely_tip,
     load_robot,
-    parameter_values,
     robot_of_values,
     RobotParameters,
-    static_obstacles,
 )
 
 Array = npt.NDArray[np.float64]
 
-# Curves are thinned out to at most this many samples.
+# Curves are thinned out to at most this many samples, and so many numbers.
 _SAMPLES = 40_000
+_NUMBERS = 8_000_000
 # Links × obstacles × postures that are looked at together.
 _BLOCK = 2_000_000
 # A command holds for this long where the bag does not say how long [s].
-_COMMAND_TIMEOUT = 0.1
+COMMAND_TIMEOUT = 0.1
 # How many samples of the commanded path are searched for the one next to the tip.
 _BEHIND, _AHEAD = 20, 400
 # Radius of the straight links that stand for shapes that are not known [m].
@@ -156,6 +162,8 @@ class _Sums:
     n: int
     samples: int = 0
     backwards: int = 0
+    gaps: int = 0
+    longest_gap: float = 0.0
     start: Array = field(default_factory=lambda: np.empty(0))
     start_velocity: Array = field(default_factory=lambda: np.empty(0))
     start_acceleration: Array | None = None
@@ -179,7 +187,11 @@ class _Sums:
             q, dq = np.vstack((self.end, q)), np.vstack((self.end_velocity, dq))
         steps = np.diff(times)
         self.backwards += int((steps < 0.0).sum())
-        positive = np.maximum(steps, 0.0)[:, None]
+        gaps = steps[steps > GAP]
+        self.gaps += len(gaps)
+        self.longest_gap = max(self.longest_gap, float(gaps.max(initial=0.0)))
+        # Of a step back, and of a gap, nobody knows how fast the arm was.
+        positive = np.where(steps <= GAP, np.maximum(steps, 0.0), 0.0)[:, None]
         moves = np.diff(q, axis=0)
         with np.errstate(divide='ignore', invalid='ignore'):
             # Without measured velocities those between the samples.
@@ -223,7 +235,7 @@ class _Thinned:
     """
 
     def __init__(self, width: int) -> None:
-        self._rows = np.empty((2 * _SAMPLES, width))
+        self._rows = np.empty((min(2 * _SAMPLES, _NUMBERS // width), width))
         self._count, self._stride, self._skip = 0, 1, 0
         self._lowest = np.inf
 
@@ -275,15 +287,18 @@ class _Clearances:
         for begin in range(0, len(postures), step):
             arms = self._robot.kinematics_along(postures[begin:begin + step])
             pairs = link_clearance(maps, arms.segment_start, arms.segment_end)
-            result[begin:begin + step] = pairs.distance.min(axis=(1, 2))
+            # Of an obstacle that is too far away or too large for the numbers: NaN.
+            result[begin:begin + step] = np.fmin.reduce(pairs.distance, axis=(1, 2))
+            clearance = np.where(np.isfinite(pairs.clearance), pairs.clearance, np.inf)
             sample, link, obstacle = np.unravel_index(
-                int(pairs.clearance.argmin()), pairs.clearance.shape)
-            level = float(pseudo_distance(pairs.clearance[sample, link, obstacle]))
-            if self.smallest is None or level < self.smallest.level:
+                int(clearance.argmin()), clearance.shape)
+            level = float(pseudo_distance(clearance[sample, link, obstacle]))
+            if np.isfinite(level) and (self.smallest is None or level < self.smallest.level):
                 self.smallest = metrics.Clearance(
                     level, self._robot.capsules[int(link)].name, scene.names[int(obstacle)],
                     first_sample + begin + int(sample))
-        self.distance = min(self.distance, float(result.min()))
+        result = np.where(np.isfinite(result), result, np.inf)
+        self.distance = min(self.distance, float(result.min(initial=np.inf)))
         return result
 
 
@@ -357,6 +372,7 @@ def analyse(
     with open_bag(path, namespace) as bag:
         notes: list[str] = []
         robot, values = robot_of_bag(bag, params, urdf, tip, notes)
+        given = params is not None or bool(urdf or tip)
         source = next((t for t in ('joint_states', 'joint_command') if bag.topics.get(t)), None)
         if source is None:
             raise RecordingError(
@@ -369,29 +385,36 @@ def analyse(
                             ('obstacles', 'no clearance to obstacles, but for static ones')):
             if not bag.topics.get(topic):
                 notes.append(f'no {topic}: {what}')
-        return _analyse(bag, source, robot, values, begin, end, progress, notes)
+        try:
+            return _analyse(bag, source, robot, values, begin, end, progress, notes)
+        except JointsMissingError as error:
+            if given:
+                raise
+            bag.left_out = LeftOut()
+            notes.append(f'the robot of the recorded configuration is another one: {error}')
+            return _analyse(bag, source, None, values, begin, end, progress, notes)
 
 
 def _analyse(
     bag: Bag, source: str, robot: Robot | None, values: dict[str, Any], begin: float, end: float,
     progress: Callable[[float], None] | None, notes: list[str],
 ) -> Analysis:
-    book = ObstacleBook(static_obstacles(values), (), transform=as_it_is)
+    book = ObstacleBook(recorded_obstacles(values, notes), (), transform=as_it_is)
     scenes = _Scenes(book.scene)
-    commands = _Commands(float(values.get('incoming_command_timeout', _COMMAND_TIMEOUT)))
+    commands = _Commands(number_of(values, 'incoming_command_timeout', COMMAND_TIMEOUT, 10.0))
     clearances = _Clearances(robot) if robot is not None else None
-    names: tuple[str, ...] = ()
-    columns: list[int] = []
+    joints = ChosenJoints(source, robot.joint_names if robot is not None else (), bag.left_out)
     sums, thinned = _Sums(0), _Thinned(1)
     periods: list[npt.NDArray[np.float32]] = []
     last_stamp: float | None = None
     factor: list[tuple[float, float]] = []
-    strangers = 0
     for item in bag.read(('joint_states', 'joint_command', 'cmd_vel', 'obstacles', 'diagnostics'),
                          begin, end, progress, order=('obstacles',)):
         if isinstance(item, Event):
             if item.topic == 'cmd_vel':
-                commands.add(item.arrival, twist_of(item.message))
+                twist = sound_twist(item, bag.left_out)
+                if twist is not None:
+                    commands.add(item.arrival, twist)
             elif item.topic == 'obstacles':
                 book.update(item.raw, item.arrival)
                 book.expire(item.arrival)
@@ -405,46 +428,36 @@ def _analyse(
             last_stamp = float(item.stamps[-1])
         if item.topic != source:
             continue
-        if not names:
-            names = robot.joint_names if robot is not None else item.names
-            columns = columns_of(item.names, names)
-            sums, thinned = _Sums(len(names)), _Thinned(3 * len(names) + 2)
-            recorded = item.names
-        if item.names != recorded:
-            strangers += len(item.stamps)
-            continue
         book.expire(float(item.arrivals[0]))
-        q, dq = item.positions[:, columns], item.velocities[:, columns]
-        fine = np.asarray(np.isfinite(q).all(axis=1))
-        if not fine.all():
-            notes.append(f'{int((~fine).sum())} joint states with numbers that are not finite')
-            item = _selected(item, fine)
-            q, dq = q[fine], dq[fine]
-            if not len(q):
-                continue
+        chosen = joints.of(item)
+        if chosen is None:
+            continue
+        if not sums.samples:
+            sums, thinned = _Sums(len(joints.names)), _Thinned(3 * len(joints.names) + 2)
+        q = chosen.positions
         distance = (clearances.of(q, book.scene, sums.samples) if clearances is not None
                     else np.full(len(q), np.inf))
-        dq, ddq = sums.add(item.stamps, q, dq)
-        thinned.add(np.column_stack((item.stamps, q, dq, ddq, distance)))
+        dq, ddq = sums.add(chosen.stamps, q, chosen.velocities)
+        thinned.add(np.column_stack((chosen.stamps, q, dq, ddq, distance)))
     if not sums.samples:
-        raise RecordingError(f"'{bag.path}' has no {source} between {begin:g} and {end:g} s")
-    if strangers:
-        notes.append(f'{strangers} joint states of other joints were left out')
+        joints.check_found()
+        raise RecordingError('; '.join((
+            f"'{bag.path}' has no {source} between {begin:g} and {end:g} s", *bag.problems)))
     if sums.backwards:
         notes.append(f'time goes backwards {sums.backwards} times; those steps count for nothing')
+    if sums.gaps:
+        notes.append(f'{source} pauses {sums.gaps} times for more than {GAP:g} s, at most '
+                     f'{sums.longest_gap:.6g} s; how fast the arm was meanwhile is not known')
     notes += bag.problems
     intervals = np.concatenate(periods) if periods else np.empty(0, np.float32)
     return Analysis(
-        bag.path.name, robot, names, sums.samples, sums.begin_time, sums.end_time,
+        printable(bag.path.absolute().name), robot, joints.names, sums.samples,
+        sums.begin_time, sums.end_time,
         sums.measures(), _curves(robot, thinned.rows(), commands, scenes.kept),
         clearances.smallest if clearances is not None else None,
         clearances.distance if clearances is not None else np.inf,
-        _periods(intervals), np.array(factor).reshape(-1, 2), tuple(dict.fromkeys(notes)))
-
-
-def _selected(chunk: JointChunk, rows: npt.NDArray[np.bool_]) -> JointChunk:
-    return chunk._replace(arrivals=chunk.arrivals[rows], stamps=chunk.stamps[rows],
-                          positions=chunk.positions[rows], velocities=chunk.velocities[rows])
+        _periods(intervals), np.array(factor).reshape(-1, 2),
+        tuple(dict.fromkeys(printable(note) for note in notes)))
 
 
 def _periods(intervals: npt.NDArray[np.float32]) -> metrics.Periods | None:
@@ -460,7 +473,12 @@ def _factors(item: Event) -> list[tuple[float, float]]:
     for status in item.message.status:
         for entry in status.values:
             if entry.key == 'factor k':
-                found.append((item.arrival, float(entry.value)))
+                try:
+                    factor = float(entry.value)
+                except ValueError:
+                    continue
+                if np.isfinite(factor):
+                    found.append((item.arrival, factor))
     return found
 
 
@@ -509,8 +527,9 @@ def path_errors(
         for i in range(begin, after - 1):
             if not moving[i]:
                 break
+            step = float(times[i + 1] - times[i])
             pose = drift.integrate(
-                pose, twists[i], max(float(times[i + 1] - times[i]), 0.0), robot.in_tool)
+                pose, twists[i], step if 0.0 < step <= GAP else 0.0, robot.in_tool)
             points.append(pose.position)
         path: Array = np.array(points)
         at = 0
@@ -545,21 +564,23 @@ def robot_of_bag(
                 configuration = item.message.data
             else:
                 description = item.message.data
-    values: dict[str, Any] = {}
-    if configuration:
-        try:
-            values = parameter_values(yaml.safe_load(configuration), f"'{bag.path}'")
-        except (yaml.YAMLError, PlannerError) as error:
-            notes.append(f'the recorded configuration is unusable: {error}')
+    values = configuration_of(configuration, notes) if configuration else {}
     if params is not None:
         return load_robot(params, **({'urdf': urdf} if urdf else {})), values
     if urdf:
         file = resolve(urdf)
         return _robot_of_urdf(file.read_text(), tip, file, notes), values
-    if values:
-        return robot_of_values(values), values
-    if description:
-        return _robot_of_urdf(description, tip, None, notes), values
+    try:
+        if values:
+            return robot_of_values(values), values
+        if description:
+            return _robot_of_urdf(description, tip, None, notes), values
+    except Exception as error:  # a bag may hold anything, and is analysed all the same
+        if tip and isinstance(error, PlannerError):
+            raise
+        notes.append(f'no robot: the recorded one is unusable ({error}); give --urdf or --params '
+                     'for the tool and the clearance')
+        return None, values
     notes.append('no robot: neither configuration nor robot_description was recorded; give --urdf '
                  'or --params for the tool and the clearance')
     return None, values
@@ -587,9 +608,14 @@ def reduction(base: Array, improved: Array) -> Array:
 
 def obstacles_at(curves: Curves, time: float) -> tuple[Obstacle, ...]:
     """Return the obstacles as they stood at a time [s]."""
+    return scene_at(curves, time).obstacles()
+
+
+def scene_at(curves: Curves, time: float) -> Scene:
+    """Return the obstacles as they stood at a time [s], as a scene."""
     scene = curves.scenes[0][1]
     for begin, candidate in curves.scenes:
         if begin > time:
             break
         scene = candidate
-    return scene.obstacles()
+    return scene

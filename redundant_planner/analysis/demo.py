@@ -16,6 +16,7 @@ from rich.table import Table
 
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.analysis.bag_files import RecordingError
 from redundant_planner.analysis.figures import motion_picture
 from redundant_planner.analysis.live import LiveRun, play
 from redundant_planner.analysis.recording import JointLog, read_recording, Recording
@@ -53,8 +54,14 @@ class Summary(NamedTuple):
 
 
 def summarise(robot: Robot, recording: Recording) -> Summary:
-    """Measure the recorded motion."""
+    """Measure the recorded motion.
+
+    Raises:
+        RecordingError: there is none.
+    """
     moving = recording.twist_times[(recording.twists != 0.0).any(axis=1)]
+    if not len(moving):
+        raise RecordingError('nothing was commanded')
     begin, end = moving[0] - _MARGIN, moving[-1] + _MARGIN
     states = recording.states.select(robot.joint_names).between(begin, end)
     inside = (recording.twist_times >= moving[0]) & (recording.twist_times <= end)
@@ -137,7 +144,7 @@ def main(args: list[str] | None = None) -> int:
                        states.velocities, recording.obstacles, f"'{scenario.name}', live")
         report = write_report(options.out / 'report', [analyse(bag)])
         console.print(f'picture: {picture}\nbag:     {bag}\nreport:  {report}')
-    except PlannerError as error:
+    except (PlannerError, OSError) as error:
         print(f'demo: {error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:

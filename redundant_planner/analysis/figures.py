@@ -23,6 +23,11 @@ ARM_COLOR = '#1d3557'
 PATH_COLOR = '#2a9d8f'
 
 
+def _literal(text: str) -> str:
+    """Return a text so that matplotlib shows it as it is, and sees no formula between dollars."""
+    return text.replace('$', r'\$')
+
+
 def motion_picture(
     path: Path, robot: Robot, times: Array, positions: Array, velocities: Array,
     obstacles: Sequence[Obstacle], title: str,
@@ -38,7 +43,7 @@ def motion_picture(
         title: above it all.
     """
     figure = Figure(figsize=(13.0, 6.5), layout='constrained')
-    figure.suptitle(title)
+    figure.suptitle(_literal(title))
     grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
     space = figure.add_subplot(grid[:, 0], projection='3d')
     draw_arm(space, robot, positions[np.linspace(0, len(positions) - 1, 7).astype(int)],
@@ -50,7 +55,7 @@ def motion_picture(
                                (1, velocities, 'velocity [rad/s, m/s]')):
         axes = figure.add_subplot(grid[row, 1])
         for name, series in zip(robot.joint_names, values.T):
-            axes.plot(times, series, label=name, linewidth=1.4)
+            axes.plot(times, series, label=_literal(name), linewidth=1.4)
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
         if row == 0:
@@ -118,7 +123,7 @@ def three_views(
         title: above it all.
     """
     figure = Figure(figsize=(15.0, 5.5), layout='constrained')
-    figure.suptitle(title)
+    figure.suptitle(_literal(title))
     postures = positions[np.linspace(0, len(positions) - 1, 7).astype(int)]
     for i, (elevation, azimuth, along) in enumerate(_VIEWS, start=1):
         axes = figure.add_subplot(1, 3, i, projection='3d')
@@ -144,12 +149,12 @@ def joint_curves(
         title: above it all.
     """
     figure = Figure(figsize=(13.0, 6.5), layout='constrained')
-    figure.suptitle(title)
+    figure.suptitle(_literal(title))
     for i, name in enumerate(names):
         axes = figure.add_subplot(2, (len(names) + 1) // 2, i + 1)
         for method, (style, times, values) in curves.items():
-            axes.plot(times, values[:, i], style, label=method, linewidth=1.5)
-        axes.set_title(name)
+            axes.plot(times, values[:, i], style, label=_literal(method), linewidth=1.5)
+        axes.set_title(_literal(name))
         axes.grid(alpha=0.3)
         axes.set_xlabel('time [s]')
         axes.set_ylabel(label)

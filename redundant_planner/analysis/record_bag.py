@@ -19,7 +19,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from redundant_planner.analysis.recording import BagWriter, message_type_known, repair
+from redundant_planner.analysis.bag_files import repair
+from redundant_planner.analysis.printable import printable
+from redundant_planner.analysis.recording import BagWriter, message_type_known
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.nodes.process import best_executor, keep_off_shared_memory
 
@@ -137,15 +139,15 @@ def main(args: list[str] | None = None) -> int:
     options = parser.parse_args(remove_ros_args(given)[1:])
     try:
         if options.repair is not None:
-            needed = repair(options.repair)
-            print(f"'{options.repair}' " + ('is closed now' if needed else 'was closed properly'))
+            done = repair(options.repair)
+            print('\n'.join(done) or f"'{options.repair}' was closed properly")
             return 0
         folder = options.bag or Path(datetime.now().strftime('bag_%Y_%m_%d-%H_%M_%S'))
         keep_off_shared_memory()
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
         counts = record(folder, options.planner, options.topics, options.duration)
     except (PlannerError, OSError) as error:
-        print(f'record_bag: {error}', file=sys.stderr)
+        print(f'record_bag: {printable(str(error))}', file=sys.stderr)
         return 2
     finally:
         rclpy.try_shutdown()

@@ -1,26 +1,31 @@
-"""Bags: the only file that knows their format."""
+"""Bags: what is written to them, and what is read from their files (`bag_files`)."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-import shutil
-import struct
 import tempfile
 from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import ReaderError, StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.serde import SerdeError
 from rosbags.typesys import get_typestore, Stores
 
-from redundant_planner.core.errors import known, PlannerError
+from redundant_planner.analysis.bag_files import (
+    bag_files,
+    BagFile,
+    RecordingError,
+    unpacked_message,
+)
+from redundant_planner.core.errors import known
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.joint_layout import joint_layout, JointLayout, LayoutError
 from redundant_planner.nodes.obstacle_book import ObstacleBook, Transform
@@ -38,18 +43,20 @@ _EXPECTED = {
     'obstacles': ('visualization_msgs/msg/MarkerArray',), 'robot_description': (_STRING,),
     'configuration': (_STRING,), 'ticks': ('std_msgs/msg/Float64MultiArray',),
     'diagnostics': ('diagnostic_msgs/msg/DiagnosticArray',)}
+# What `--end` is at most, without an end [s].
+_FOREVER = 5e9
 # Messages of a joint topic that are taken together.
 _CHUNK = 4096
-_MAGIC = b'\x89MCAP0\r\n'
-# What ends an MCAP file without an index: DataEnd, and a Footer that points nowhere.
-_DATA_END = struct.pack('<BQI', 0x0F, 4, 0)
-_FOOTER = struct.pack('<BQQQI', 0x02, 20, 0, 0, 0)
-# Bags that were not closed are repaired in a copy up to this size [bytes].
-_COPIED = 2_000_000_000
-
-
-class RecordingError(PlannerError):
-    """A bag cannot be read, or lacks what was asked of it."""
+# And that many bytes of them.
+_CHUNK_BYTES = 32_000_000
+# More joints than any machine has: such a message is damaged.
+_JOINTS = 256
+# A position, velocity or twist beyond this is none [rad, m; per s]: it would only overflow.
+LARGEST = 1e6
+# Joint states further apart belong to two motions: nothing was commanded between them [s].
+GAP = 1.0
+# Reasons for leaving messages of a topic out that are spelt out.
+_REASONS = 3
 
 
 class BagWriter:
@@ -165,20 +172,60 @@ class Event(NamedTuple):
     raw: bytes
 
 
+class JointsMissingError(RecordingError):
+    """The joints asked for were not recorded."""
+
+
+class LeftOut:
+    """Messages that could not be used: how many on which topic, and why."""
+
+    def __init__(self) -> None:
+        """Begin without any."""
+        self._counts: dict[str, Counter[str]] = {}
+
+    def add(self, topic: str, reason: str, count: int = 1) -> None:
+        """Count messages; the first few reasons of a topic are kept."""
+        reasons = self._counts.setdefault(topic, Counter())
+        known_one = reason in reasons or len(reasons) < _REASONS
+        reasons[reason if known_one else 'other reasons'] += count
+
+    def sentences(self) -> list[str]:
+        """Return a sentence per topic and reason."""
+        return [f'{count} messages on {topic} are left out: {reason}'
+                for topic, reasons in self._counts.items()
+                for reason, count in reasons.items() if count]
+
+
+class Topic(NamedTuple):
+    """A topic of a bag: its name, and the type of its messages."""
+
+    name: str
+    kind: str
+
+
 class Bag:
     """A bag that is open for reading, its times counted from its first message."""
 
-    def __init__(self, reader: AnyReader, path: Path, topics: dict[str, Connection]) -> None:
+    def __init__(self, files: list[BagFile], path: Path, topics: dict[str, Topic]) -> None:
         """Use `open_bag`."""
-        self._reader, self._topics, self.path = reader, topics, path
-        self.origin_ns = reader.start_time
-        self.duration = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
-        self.problems: list[str] = []
+        self._files, self._topics, self.path = files, topics, path
+        self.origin_ns = min(file.begin_ns for file in files)
+        self.duration = max((max(file.end_ns for file in files) - self.origin_ns) * 1e-9, 0.0)
+        self.left_out = LeftOut()
+        self.remarks: list[str] = []
 
     @property
     def topics(self) -> dict[str, int]:
         """Topic without namespace → number of its messages."""
-        return {name: connection.msgcount for name, connection in self._topics.items()}
+        return {short: sum(file.counts[channel] for file in self._files
+                           for channel in _channels(file, topic))
+                for short, topic in self._topics.items()}
+
+    @property
+    def problems(self) -> list[str]:
+        """What was wrong with it as far as it was read, a sentence each."""
+        return [*self.remarks, *(problem for file in self._files for problem in file.problems),
+                *self.left_out.sentences()]
 
     def read(
         self, topics: Sequence[str], begin: float = 0.0, end: float = np.inf,
@@ -187,7 +234,7 @@ class Bag:
         """Yield what was recorded on some topics without holding it all.
 
         Joint states come in chunks, which end where a message comes between whose order counts.
-        A message that cannot be decoded is left out and mentioned in `problems`.
+        A message that cannot be decoded is left out and counted in `left_out`.
 
         Args:
             topics: names without namespace.
@@ -195,21 +242,26 @@ class Bag:
             begin, end: seconds from the first message.
             progress: takes the share that is done, now and then.
         """
-        chosen = [self._topics[name] for name in topics if name in self._topics]
-        names = {connection.id: name for name, connection in self._topics.items()}
         batches: dict[str, _JointBatch] = {}
-        broken: dict[str, int] = {}
-        first = self.origin_ns + round(begin * 1e9)
-        last = None if np.isinf(end) else self.origin_ns + round(end * 1e9)
-        try:
-            for connection, time_ns, raw in self._reader.messages(
-                    connections=chosen, start=first, stop=last) if chosen else ():
-                name, arrival = names[connection.id], (time_ns - self.origin_ns) * 1e-9
-                if connection.msgtype == _JOINT_STATE:
-                    batch = batches.setdefault(name, _JointBatch(name))
+        first, last = (self.origin_ns + round(float(np.clip(time, -_FOREVER, _FOREVER)) * 1e9)
+                       for time in (begin, end))
+        for file in self._files:
+            names = {channel: short for short in topics if short in self._topics
+                     for channel in _channels(file, self._topics[short])}
+            for channel, time_ns, packed in file.messages(names, first, last) if names else ():
+                name, arrival = names[channel], (time_ns - self.origin_ns) * 1e-9
+                kind = self._topics[name].kind
+                try:
+                    raw = unpacked_message(packed)
+                except RecordingError as error:
+                    self.left_out.add(name, str(error))
+                    continue
+                if kind == _JOINT_STATE:
+                    batch = batches.setdefault(name, _JointBatch(name, self.left_out))
                     if not batch.fits(raw):
                         yield from batch.chunk(self.origin_ns)
-                    if batch.add(arrival, raw) == _CHUNK:
+                    batch.add(arrival, raw)
+                    if batch.full:
                         yield from batch.chunk(self.origin_ns)
                         if progress is not None:
                             progress(min(arrival / max(self.duration, 1e-9), 1.0))
@@ -218,18 +270,17 @@ class Bag:
                     for batch in batches.values():
                         yield from batch.chunk(self.origin_ns)
                 try:
-                    message = _decoded(self._reader, raw, connection.msgtype)
-                except (AnyReaderError, UnicodeDecodeError, ValueError) as error:
-                    broken[name] = broken.get(name, 0) + 1
-                    if broken[name] == 1:
-                        self.problems.append(f'a message on {name} cannot be decoded: {error}')
+                    message = _decoded(raw, kind)
+                except Exception as error:  # another package's decoder, on bytes from anywhere
+                    self.left_out.add(name, f'they cannot be decoded ({error})')
                     continue
-                yield Event(name, arrival, message, bytes(raw))
-        except (AnyReaderError, ReaderError, OSError, struct.error) as error:
-            self.problems.append(f'the bag is damaged after a while: {error}')
+                yield Event(name, arrival, message, raw)
         for batch in batches.values():
             yield from batch.chunk(self.origin_ns)
-            self.problems += batch.problems
+
+
+def _channels(file: BagFile, topic: Topic) -> list[int]:
+    return [channel for channel, found in file.topics.items() if found == tuple(topic)]
 
 
 @contextlib.contextmanager
@@ -243,114 +294,43 @@ def open_bag(path: Path, namespace: str = '') -> Iterator[Bag]:
     Raises:
         RecordingError: it is no bag, is empty, or cannot be read.
     """
-    with contextlib.ExitStack() as stack:
-        if not path.exists():
-            raise RecordingError(f"'{path}' is not a readable bag: there is no such file")
-        whole = path
-        if _unclosed(path):
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            whole = _repaired_copy(path, folder)
-        try:
-            reader = stack.enter_context(AnyReader([whole], default_typestore=_TYPES))
-        except (AnyReaderError, ReaderError, OSError, ValueError, KeyError, TypeError) as error:
-            raise RecordingError(f"'{path}' is not a readable bag: {error}") from None
-        if not reader.message_count:
-            raise RecordingError(f"'{path}' holds no messages")
-        topics, problems = _chosen_topics(path, reader, namespace)
-        bag = Bag(reader, path, topics)
-        bag.problems += problems
-        if whole is not path:
-            bag.problems.append('the bag was not closed: what the recorder had written is there')
+    with tempfile.TemporaryDirectory() as folder:
+        files = bag_files(path, Path(folder))
+        if not any(file.counts for file in files):
+            raise RecordingError('; '.join((f"'{path}' holds no messages", *(
+                problem for file in files for problem in file.problems))))
+        topics, remarks = _chosen_topics(path, files, namespace)
+        bag = Bag([file for file in files if file.counts], path, topics)
+        bag.remarks += remarks
         yield bag
 
 
 def _chosen_topics(
-    path: Path, reader: AnyReader, namespace: str,
-) -> tuple[dict[str, Connection], list[str]]:
-    """Return the connections by the last part of their names, of one namespace.
+    path: Path, files: list[BagFile], namespace: str,
+) -> tuple[dict[str, Topic], list[str]]:
+    """Return the topics by the last part of their names, of one namespace.
 
     Also a sentence about each that holds something else than its name says.
     """
-    topics: dict[str, Connection] = {}
+    topics: dict[str, Topic] = {}
     problems = []
     prefix = f'/{namespace.strip("/")}/' if namespace.strip('/') else '/'
-    for connection in sorted(reader.connections, key=lambda c: c.topic.count('/')):
-        short = connection.topic.rsplit('/', 1)[-1]
-        if not connection.topic.startswith(prefix) and short != 'diagnostics':
+    recorded = list(dict.fromkeys(Topic(*topic) for file in files
+                                  for topic in file.topics.values()))
+    for topic in sorted(recorded, key=lambda topic: topic.name.count('/')):
+        short = topic.name.rsplit('/', 1)[-1]
+        if not topic.name.startswith(prefix) and short != 'diagnostics':
             continue
-        expected = _EXPECTED.get(short, (connection.msgtype,))
-        if connection.msgtype in expected:
-            topics.setdefault(short, connection)
+        expected = _EXPECTED.get(short, (topic.kind,))
+        if topic.kind in expected:
+            topics.setdefault(short, topic)
         else:
-            problems.append(f"'{connection.topic}' is {connection.msgtype}; it must be "
-                            f'{" or ".join(expected)}')
+            problems.append(f"'{topic.name}' is {topic.kind or 'of a type that is not told'}; it "
+                            f'must be {" or ".join(expected)}')
     if namespace and not topics and not problems:
         raise RecordingError(f"'{path}' has no topics in namespace '{namespace}'; it has "
-                             f'{known(sorted({c.topic for c in reader.connections}))}')
+                             f'{known(sorted({topic.name for topic in recorded}))}')
     return topics, problems
-
-
-def _mcap_file(path: Path) -> Path | None:
-    files = [path] if path.suffix == '.mcap' else sorted(path.glob('*.mcap'))
-    return files[0] if len(files) == 1 else None
-
-
-def _unclosed(path: Path) -> bool:
-    """Return whether a bag is an MCAP file without its end: the recorder was killed."""
-    file = _mcap_file(path) if path.is_dir() or path.suffix == '.mcap' else None
-    if file is None or file.stat().st_size < len(_MAGIC):
-        return False
-    with file.open('rb') as stream:
-        if stream.read(len(_MAGIC)) != _MAGIC:
-            return False
-        stream.seek(-len(_MAGIC), 2)
-        return stream.read() != _MAGIC
-
-
-def _repaired_copy(path: Path, folder: Path) -> Path:
-    file = _mcap_file(path)
-    assert file is not None
-    if file.stat().st_size > _COPIED:
-        raise RecordingError(f"'{path}' was not closed, and is too long to be repaired in a copy; "
-                             f'record_bag --repair {path} repairs it where it is')
-    copy = folder / file.name
-    shutil.copyfile(file, copy)
-    close_mcap(copy)
-    return copy
-
-
-def repair(path: Path) -> bool:
-    """Close a bag whose recorder was killed, where it is; return whether that was needed.
-
-    Raises:
-        RecordingError: it is no MCAP bag.
-    """
-    file = _mcap_file(path) if path.exists() else None
-    if file is None:
-        raise RecordingError(f"'{path}' is not an MCAP bag")
-    if not _unclosed(path):
-        return False
-    close_mcap(file)
-    return True
-
-
-def close_mcap(file: Path) -> None:
-    """Cut off an incomplete last record and write the end of the file.
-
-    An MCAP file is a series of records, each with its kind (1 byte) and length (8 bytes).
-    """
-    size = file.stat().st_size
-    with file.open('r+b') as stream:
-        end = len(_MAGIC)
-        while end + 9 <= size:
-            stream.seek(end)
-            length = struct.unpack('<xQ', stream.read(9))[0]
-            if end + 9 + length > size:
-                break
-            end += 9 + length
-        stream.truncate(end)
-        stream.seek(end)
-        stream.write(_DATA_END + _FOOTER + _MAGIC)
 
 
 class _JointBatch:
@@ -361,28 +341,32 @@ class _JointBatch:
     numbers are.
     """
 
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
+    def __init__(self, topic: str, left_out: LeftOut) -> None:
+        self._topic, self._left_out = topic, left_out
         self._raw: list[bytes] = []
         self._arrivals: list[float] = []
         self._layout: JointLayout | None = None
-        self.problems: list[str] = []
 
     def fits(self, raw: bytes) -> bool:
         """Return whether a message may join the others."""
         return not self._raw or (
             self._layout is not None and self._layout.fits(raw, self._raw[0]))
 
-    def add(self, arrival: float, raw: bytes) -> int:
-        """Take in a message; return how many there are."""
+    @property
+    def full(self) -> bool:
+        """Whether it is time for a chunk."""
+        return len(self._raw) >= _CHUNK or len(self._raw) * len(self._raw[0]) >= _CHUNK_BYTES
+
+    def add(self, arrival: float, raw: bytes) -> None:
+        """Take in a message."""
         if not self._raw:
             try:
                 self._layout = joint_layout(raw)
+                self._problem = _problem_of(self._layout.names)
             except LayoutError as error:
                 self._layout, self._problem = None, str(error)
-        self._raw.append(bytes(raw))
+        self._raw.append(raw)
         self._arrivals.append(arrival)
-        return len(self._raw)
 
     def chunk(self, origin_ns: int) -> Iterator[JointChunk]:
         """Yield what was collected, if anything, and begin anew."""
@@ -390,9 +374,8 @@ class _JointBatch:
             return
         raws, arrivals = self._raw, np.array(self._arrivals)
         self._raw, self._arrivals = [], []
-        if self._layout is None:
-            self.problems.append(
-                f'{len(raws)} messages on {self._topic} are left out: {self._problem}')
+        if self._layout is None or self._problem:
+            self._left_out.add(self._topic, self._problem, len(raws))
             return
         names, positions, velocities, order = self._layout[:4]
         block = np.frombuffer(b''.join(raws), np.uint8).reshape(len(raws), -1)
@@ -412,12 +395,63 @@ class _JointBatch:
         yield JointChunk(self._topic, names, arrivals, stamps, q, dq)
 
 
-def _decoded(reader: AnyReader, raw: bytes, message_type: str) -> Any:
+def _problem_of(names: Sequence[str]) -> str:
+    """Return what is wrong with joint names, if anything."""
+    if not names:
+        return 'they name no joint'
+    if len(names) > _JOINTS:
+        return f'they name {len(names)} joints; {_JOINTS} at most are taken'
+    if not all(name.isprintable() and len(name) <= _JOINTS for name in names):
+        return 'their joint names are no text'
+    return ''
+
+
+def _decoded(raw: bytes, kind: str) -> Any:
     """Decode a message; rclpy's serialize_message pads a trailing empty list by four bytes."""
     try:
-        return reader.deserialize(raw, message_type)
-    except AnyReaderError:
-        return reader.deserialize(raw[:-4], message_type)
+        return _TYPES.deserialize_cdr(raw, kind)
+    except SerdeError:
+        return _TYPES.deserialize_cdr(raw[:-4], kind)
+
+
+class ChosenJoints:
+    """Picks certain joints out of a topic's chunks, and leaves out what cannot be used."""
+
+    def __init__(self, topic: str, names: Sequence[str], left_out: LeftOut) -> None:
+        """Pick the joints of these names; without names those of the first chunk."""
+        self.names = tuple(names)
+        self._topic, self._left_out = topic, left_out
+        self._seen: tuple[str, ...] = ()
+
+    def of(self, chunk: JointChunk) -> JointChunk | None:
+        """Return a chunk's joints and messages that can be used, None if there are none."""
+        self.names = self.names or chunk.names
+        self._seen = self._seen or chunk.names
+        try:
+            columns = columns_of(chunk.names, self.names)
+        except JointsMissingError:
+            self._left_out.add(self._topic, 'they are of other joints', len(chunk.stamps))
+            return None
+        q, dq = chunk.positions[:, columns], chunk.velocities[:, columns]
+        # As in the node, which skips such a message; a comparison with NaN is false.
+        fine = np.asarray((np.abs(q) <= LARGEST).all(axis=1))
+        if not fine.all():
+            self._left_out.add(self._topic, 'they have positions that are not finite, or beyond '
+                               f'{LARGEST:g}', int((~fine).sum()))
+        if not fine.any():
+            return None
+        dq = np.where(np.abs(dq) <= LARGEST, dq, np.nan)
+        return JointChunk(chunk.topic, self.names, chunk.arrivals[fine], chunk.stamps[fine],
+                          q[fine], dq[fine])
+
+    def check_found(self) -> None:
+        """Raise an error if the joints were never all there.
+
+        Raises:
+            JointsMissingError: naming those that were not recorded.
+        """
+        if self._seen:
+            columns_of(self._seen, self.names)
 
 
 @dataclass(frozen=True)
@@ -457,11 +491,12 @@ def columns_of(recorded: Sequence[str], wanted: Sequence[str]) -> list[int]:
     """Return where the wanted joints stand among the recorded ones.
 
     Raises:
-        RecordingError: a joint was not recorded.
+        JointsMissingError: a joint was not recorded.
     """
     missing = [name for name in wanted if name not in recorded]
     if missing:
-        raise RecordingError(f'joints {missing} were not recorded; the bag has {list(recorded)}')
+        raise JointsMissingError(
+            f'joints {missing} were not recorded; the bag has {list(recorded)}')
     return [list(recorded).index(name) for name in wanted]
 
 
@@ -486,43 +521,39 @@ class Recording:
     robot_description: str
 
 
-@dataclass
-class _Rows:
-    chunks: list[JointChunk] = field(default_factory=list)
-
-    def log(self, path: Path, topic: str) -> JointLog:
-        if not self.chunks:
-            raise RecordingError(f"'{path}' holds no messages on {topic}")
-        names = self.chunks[0].names
-        chunks = [chunk for chunk in self.chunks if chunk.names == names]
-        return JointLog(names, np.concatenate([c.stamps for c in chunks]),
-                        np.concatenate([c.positions for c in chunks]),
-                        np.concatenate([c.velocities for c in chunks]))
-
-
 def read_recording(path: Path) -> Recording:
     """Read a bag of the planner's topics into memory.
 
     Raises:
-        RecordingError: it is no bag, is damaged, or has no joint states or commands.
+        RecordingError: it is no bag, or has no joint states or commands.
     """
-    rows = {'joint_states': _Rows(), 'joint_command': _Rows()}
+    chunks: dict[str, list[JointChunk]] = {'joint_states': [], 'joint_command': []}
     twist_times: list[float] = []
     twists: list[Array] = []
     book = ObstacleBook((), (), transform=as_it_is)
     description = ''
     with open_bag(path) as bag:
-        for item in bag.read([*rows, 'cmd_vel', 'obstacles', 'robot_description']):
+        joints = {topic: ChosenJoints(topic, (), bag.left_out) for topic in chunks}
+        for item in bag.read([*chunks, 'cmd_vel', 'obstacles', 'robot_description']):
             if isinstance(item, JointChunk):
-                rows[item.topic].chunks.append(item)
+                found = joints[item.topic].of(item)
+                chunks[item.topic] += [found] if found is not None else []
             elif item.topic == 'cmd_vel':
-                twist_times.append(item.arrival)
-                twists.append(twist_of(item.message))
+                twist = sound_twist(item, bag.left_out)
+                if twist is not None:
+                    twist_times.append(item.arrival)
+                    twists.append(twist)
             elif item.topic == 'obstacles':
                 book.update(item.raw, item.arrival)
             else:
                 description = item.message.data
-    logs = {topic: found.log(path, topic) for topic, found in rows.items()}
+    for topic, listed in chunks.items():
+        if not listed:
+            raise RecordingError(f"'{path}' holds no messages on {topic}")
+    logs = {topic: JointLog(
+        listed[0].names, *(np.concatenate([getattr(chunk, part) for chunk in listed])
+                           for part in ('stamps', 'positions', 'velocities')))
+            for topic, listed in chunks.items()}
     return Recording(logs['joint_states'], logs['joint_command'], np.array(twist_times),
                      np.array(twists).reshape(-1, 6), book.scene.obstacles(),
                      description)
@@ -531,6 +562,15 @@ def read_recording(path: Path) -> Recording:
 def as_it_is(frame: str) -> Transform:
     """Take every frame for the base's: what a planner refused is not known from a bag."""
     return np.zeros(3), np.eye(3)
+
+
+def sound_twist(item: Event, left_out: LeftOut) -> Array | None:
+    """Return the six numbers of a cmd_vel, None where the node does not take them either."""
+    twist = twist_of(item.message)
+    if (np.abs(twist) <= LARGEST).all():
+        return twist
+    left_out.add(item.topic, f'they have numbers that are not finite, or beyond {LARGEST:g}')
+    return None
 
 
 def twist_of(message: Any) -> Array:

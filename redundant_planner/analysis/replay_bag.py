@@ -15,16 +15,21 @@ from rich.console import Console
 from rich.progress import track
 import yaml
 
-from redundant_planner.analysis.bag_analysis import robot_of_bag
+from redundant_planner.analysis.bag_analysis import COMMAND_TIMEOUT, robot_of_bag
+from redundant_planner.analysis.bag_files import RecordingError
+from redundant_planner.analysis.printable import printable
+from redundant_planner.analysis.recorded_configuration import number_of, recorded_obstacles
 from redundant_planner.analysis.recording import (
     as_it_is,
     Bag,
     BagWriter,
-    columns_of,
+    ChosenJoints,
     Event,
+    GAP,
     JointChunk,
+    LARGEST,
     open_bag,
-    RecordingError,
+    sound_twist,
     twist_of,
 )
 from redundant_planner.core.errors import ParameterError, PlannerError, StateError
@@ -35,12 +40,12 @@ from redundant_planner.core.robot import Robot
 from redundant_planner.core.safety import braked
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 from redundant_planner.recorded_tick import RecordedTick, TickKind
-from redundant_planner.robot_parameters import read_parameter_file, settings_of, static_obstacles
+from redundant_planner.robot_parameters import read_parameter_file, settings_of
 
 Array = npt.NDArray[np.float64]
 
-_TIMEOUT = 0.1
 _RATE = 250
+_FASTEST_RATE = 1000
 # A stamp that is further from the time of its recording is of another clock [s].
 _SAME_CLOCK = 60.0
 
@@ -52,8 +57,8 @@ class Inputs:
     Attributes:
         robot: the arm.
         values: the parameters it ran with, as far as they were recorded.
-        start: (n,) first joint state [rad, m].
-        begin, end: of the joint states [s].
+        parts: of the joint states, with pauses between them: begin and end [s], and the first
+            joint state (n,) [rad, m].
         ticks: every tick's inputs, if they were recorded, and the times of their recording.
         twists: times and cmd_vel.
         obstacles: times and serialised MarkerArrays.
@@ -64,9 +69,7 @@ class Inputs:
 
     robot: Robot
     values: dict[str, Any]
-    start: Array
-    begin: float
-    end: float
+    parts: list[tuple[float, float, Array]] = field(default_factory=list)
     ticks: list[tuple[float, RecordedTick]] = field(default_factory=list)
     twists: list[tuple[float, Array]] = field(default_factory=list)
     obstacles: list[tuple[float, bytes]] = field(default_factory=list)
@@ -85,24 +88,30 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
     notes: list[str] = []
     robot, values = robot_of_bag(bag, params, urdf, tip, notes)
     if robot is None:
-        raise RecordingError(f"'{bag.path}': {notes[-1]}")
-    inputs = Inputs(robot, values, np.empty(0), 0.0, 0.0, notes=notes)
+        raise RecordingError(f"'{bag.path}': {'; '.join(notes)}")
+    inputs = Inputs(robot, values, notes=notes)
+    joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out)
+              for topic in ('joint_states', 'joint_command')}
     for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', 'obstacles',
                           'cmd_vel_preview', 'robot_description'), order=()):
         if isinstance(item, JointChunk):
-            columns = columns_of(item.names, robot.joint_names)
-            if item.topic == 'joint_command':
-                stamps = np.round(item.stamps * 1e9).astype(np.int64) + bag.origin_ns
-                inputs.commands.update(zip(stamps.tolist(), item.velocities[:, columns]))
+            chosen = joints[item.topic].of(item)
+            if chosen is None:
                 continue
-            if not len(inputs.start):
-                inputs.start = item.positions[0, columns]
-                inputs.begin = float(item.arrivals[0])
-            inputs.end = float(item.arrivals[-1])
+            if item.topic == 'joint_command':
+                stamps = np.round(chosen.stamps * 1e9).astype(np.int64) + bag.origin_ns
+                inputs.commands.update(zip(stamps.tolist(), chosen.velocities))
+            else:
+                _extend(inputs.parts, chosen)
         elif item.topic == 'ticks':
-            inputs.ticks.append((item.arrival, RecordedTick.of(item.message.data)))
+            try:
+                inputs.ticks.append((item.arrival, _tick(item, robot)))
+            except StateError as error:
+                bag.left_out.add('ticks', str(error))
         elif item.topic == 'cmd_vel':
-            inputs.twists.append((item.arrival, twist_of(item.message)))
+            twist = sound_twist(item, bag.left_out)
+            if twist is not None:
+                inputs.twists.append((item.arrival, twist))
         elif item.topic == 'cmd_vel_preview':
             preview = _preview(item)
             if preview is not None:
@@ -111,10 +120,43 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
             if item.topic == 'obstacles':
                 inputs.obstacles.append((item.arrival, item.raw))
             inputs.raw.append((item.topic, item.arrival, item.raw))
-    if not len(inputs.start):
-        raise RecordingError(f"'{bag.path}' holds no messages on joint_states")
-    inputs.notes += bag.problems
+    if not inputs.parts:
+        joints['joint_states'].check_found()
+        raise RecordingError('; '.join((
+            f"'{bag.path}' holds no messages on joint_states", *bag.problems)))
+    if len(inputs.parts) > 1:
+        inputs.notes.append(
+            f'joint_states pauses {len(inputs.parts) - 1} times for more than {GAP:g} s; nothing '
+            'is commanded there')
+    inputs.notes += [printable(problem) for problem in bag.problems]
     return inputs
+
+
+def _extend(parts: list[tuple[float, float, Array]], chunk: JointChunk) -> None:
+    """Add joint states to the last part, or begin another one after a pause."""
+    times = chunk.arrivals
+    begins = [0, *(np.flatnonzero(np.diff(times) > GAP) + 1).tolist()]
+    for begin, after in zip(begins, (*begins[1:], len(times))):
+        first, last = float(times[begin]), float(times[after - 1])
+        if parts and first - parts[-1][1] <= GAP:
+            parts[-1] = (parts[-1][0], max(parts[-1][1], last), parts[-1][2])
+        else:
+            parts.append((first, last, chunk.positions[begin]))
+
+
+def _tick(item: Event, robot: Robot) -> RecordedTick:
+    """Return a recorded tick.
+
+    Raises:
+        StateError: it is none of this robot.
+    """
+    tick = RecordedTick.of(item.message.data)
+    if len(tick.q) != robot.n:
+        raise StateError(f'a recorded tick has {len(tick.q)} joint positions; the robot has '
+                         f'{robot.n} joints')
+    if not (np.abs(np.concatenate((tick.q, tick.twist))) <= LARGEST).all():
+        raise StateError(f'a recorded tick has a posture or twist beyond {LARGEST:g}')
+    return tick
 
 
 def _preview(item: Event) -> Preview | None:
@@ -183,19 +225,35 @@ def otherwise(inputs: Inputs, parameters: PlannerParameters) -> Replay:
 
 def _ticks_of_topics(inputs: Inputs) -> list[tuple[float, RecordedTick]]:
     """Make up ticks at the planner's rate from what arrived when."""
-    rate = int(inputs.values.get('rate', _RATE))
-    timeout = float(inputs.values.get('incoming_command_timeout', _TIMEOUT))
-    times = inputs.begin + np.arange(round((inputs.end - inputs.begin) * rate)) / rate
+    rate = _rate(inputs.values)
+    timeout = number_of(inputs.values, 'incoming_command_timeout', COMMAND_TIMEOUT, 10.0)
+    ticks: list[tuple[float, RecordedTick]] = []
+    for begin, end, start in inputs.parts:
+        times = begin + np.arange(round((end - begin) * rate)) / rate
+        ticks += _ticks_at(inputs, times, start, timeout)
+    return ticks
+
+
+def _rate(values: dict[str, Any]) -> int:
+    return max(int(number_of(values, 'rate', _RATE, _FASTEST_RATE)), 1)
+
+
+def _ticks_at(
+    inputs: Inputs, times: Array, start: Array, timeout: float,
+) -> list[tuple[float, RecordedTick]]:
+    """Make up the ticks of a part, whose first joint state is `start`."""
     arrivals = [np.array([entry[0] for entry in listed]) for listed in (
         inputs.twists, inputs.obstacles, inputs.previews)]
     latest, known, announced = (np.searchsorted(a, times, side='right') for a in arrivals)
     ticks = []
+    kind, still = TickKind.STARTING, np.zeros(6)
     for time, twist, scene, preview in zip(times, latest, known, announced):
         fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
         elapsed = time - inputs.previews[preview - 1][1] if preview and fresh else np.nan
         ticks.append((float(time), RecordedTick(
-            0, float(time), TickKind.GOING_ON, int(scene), int(preview), float(elapsed),
-            inputs.twists[twist - 1][1] if fresh else np.zeros(6), inputs.start)))
+            0, float(time), kind, int(scene), int(preview), float(elapsed),
+            inputs.twists[twist - 1][1] if fresh else still, start)))
+        kind = TickKind.GOING_ON
     return ticks
 
 
@@ -214,19 +272,21 @@ def _rows(
                              'and its last')
     planner = Planner(robot, parameters)
     values = inputs.values
-    book = ObstacleBook(static_obstacles(values), (), transform=as_it_is, estimate_velocity=bool(
-        values.get('estimate_obstacle_velocity', False)))
-    dt = 1.0 / int(values.get('rate', _RATE))
-    q: Array = inputs.start
+    book = ObstacleBook(
+        recorded_obstacles(values, inputs.notes), (), transform=as_it_is,
+        estimate_velocity=values.get('estimate_obstacle_velocity') is True)
+    dt = 1.0 / _rate(values)
+    q: Array = ticks[0][1].q
     dq: Array = np.zeros(robot.n)
-    if inputs.ticks:
-        q = ticks[0][1].q
+    # Ticks that are made up start again after every pause, where the arm was then.
+    made_up = not inputs.ticks
     applied = 0
     count = len(ticks)
     positions, velocities = np.empty((count, robot.n)), np.empty((count, robot.n))
     previous = ticks[0][1].time
     for i, (_, tick) in enumerate(track(
-            ticks, description='replaying', console=Console(stderr=True), transient=True)):
+            ticks, description='replaying', console=Console(stderr=True), transient=True,
+            disable=not sys.stderr.isatty())):
         if measured:
             q = tick.q
         # What was taken in after the tick before, with that tick's time.
@@ -236,8 +296,9 @@ def _rows(
         if tick.kind == TickKind.BRAKING and measured:
             dq = braked(dq, robot.acceleration_max, dt)
         else:
-            if tick.kind == TickKind.STARTING and (measured or i == 0):
+            if tick.kind == TickKind.STARTING and (measured or made_up or i == 0):
                 planner.reset()
+                q = tick.q
             book.expire(tick.time)
             dq = planner.step(q, tick.twist, book.scene, dt, _ahead(inputs, tick)).dq
         positions[i], velocities[i] = q, dq
@@ -329,10 +390,10 @@ def main(args: list[str] | None = None) -> int:
         else:
             print(f"'{changed.method}' from the first joint state on, with an ideal arm")
         for note in inputs.notes:
-            print(f'note: {note}')
+            print(f'note: {printable(note)}')
         print(f'bag: {out}')
-    except PlannerError as error:
-        print(f'replay_bag: {error}', file=sys.stderr)
+    except (PlannerError, OSError) as error:
+        print(f'replay_bag: {printable(str(error))}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print('replay_bag: interrupted', file=sys.stderr)
@@ -354,7 +415,8 @@ def differences(inputs: Inputs, replay: Replay) -> Array:
     ticks = inputs.ticks[_first_start(inputs):]
     found = [(inputs.commands[tick.stamp_ns], dq) for (_, tick), dq in zip(
         ticks, replay.velocities) if tick.stamp_ns in inputs.commands]
-    return np.array([np.abs(recorded - dq).max() for recorded, dq in found])
+    apart = np.array([np.abs(recorded - dq).max() for recorded, dq in found])
+    return apart[np.isfinite(apart)]  # a command without velocities tells nothing
 
 
 def _difference(inputs: Inputs, replay: Replay) -> str:

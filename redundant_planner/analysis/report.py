@@ -6,6 +6,7 @@ import base64
 from html import escape
 import json
 from pathlib import Path
+import re
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,10 @@ import numpy.typing as npt
 from plotly.offline import get_plotlyjs
 
 from redundant_planner.analysis.analyze_bag import as_text, motion_measures, reductions
-from redundant_planner.analysis.bag_analysis import Analysis, obstacles_at
+from redundant_planner.analysis.bag_analysis import Analysis, scene_at
 from redundant_planner.analysis.figures import capsule_surface, joint_curves, motion_picture
 from redundant_planner.core.errors import PlannerError
+from redundant_planner.core.obstacles import Scene
 
 Array = npt.NDArray[np.float64]
 
@@ -24,6 +26,13 @@ _CURVE = 1500
 _POSTURES = 240
 _RIBS, _SIDES = 6, 11  # grid of a link
 _BALL_RIBS, _BALL_SIDES = 10, 19  # of an obstacle
+# Obstacles drawn in all postures of the 3-D view together, and in a picture: the nearest ones.
+_GRIDS = 6000
+_PICTURED = 200
+# How far around the arm obstacles are drawn, and how large one may be, in sizes of its motion.
+_AROUND, _LARGE = 1.5, 1000.0
+# Joints in a figure.
+_DIAGRAMS = 32
 _COLORS = ('#1d3557', '#c8553d', '#2a9d8f', '#e9c46a', '#6d597a', '#457b9d', '#8ab17d', '#b56576',
            '#355070', '#bc6c25')
 
@@ -174,27 +183,48 @@ def write_report(folder: Path, analyses: list[Analysis]) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PlannerError(f"'{folder}' cannot be written to: {error}") from None
-    title = ' and '.join(f"'{analysis.name}'" for analysis in analyses)
-    body = ''.join(_section(i, analysis) for i, analysis in enumerate(analyses))
-    for other in analyses[1:]:
-        body += _comparison(analyses[0], other)
-    page = _PAGE
-    for mark, text in (('__TITLE__', escape(title)), ('__BODY__', body),
-                       ('__PLOTLY__', get_plotlyjs()),
-                       ('__DATA__', json.dumps([_data(analysis) for analysis in analyses]))):
-        page = page.replace(mark, text)
     file = folder / 'report.html'
-    file.write_text(page)
+    file.write_text(page_of(analyses), encoding='utf-8')
     for analysis in analyses:
-        _figures(folder, analysis)
+        write_figures(folder, analysis)
     return file
 
 
-def _section(index: int, analysis: Analysis) -> str:
+def page_of(analyses: list[Analysis]) -> str:
+    """Return the page of one or more analyses as HTML."""
+    title = ' and '.join(f"'{analysis.name}'" for analysis in analyses)
+    views = [_view(analysis) if analysis.robot is not None else None for analysis in analyses]
+    body = ''.join(_section(i, *both) for i, both in enumerate(zip(analyses, views)))
+    for other in analyses[1:]:
+        body += _comparison(analyses[0], other)
+    texts = {'TITLE': escape(title), 'BODY': body, 'PLOTLY': get_plotlyjs(),
+             'DATA': _for_script([_data(*both) for both in zip(analyses, views)])}
+    # All at once: a name in the bag may be one of the marks.
+    return re.sub(f'__({"|".join(texts)})__', lambda mark: texts[mark[1]], _PAGE)
+
+
+def _for_script(data: Any) -> str:
+    """Return data as JSON that cannot end the script it stands in, nor break one of its lines."""
+    # json.dumps writes all but ASCII as escapes, U+2028 and U+2029 among it.
+    text = json.dumps(data, allow_nan=False)
+    for sign in '<>&':
+        text = text.replace(sign, f'\\u{ord(sign):04x}')
+    return text
+
+
+def _label(text: str) -> str:
+    """Return a text as plotly shows it: in labels it takes some HTML for markup."""
+    return escape(text, quote=False)
+
+
+def _section(index: int, analysis: Analysis, shown: dict[str, Any] | None) -> str:
     measures = ''.join(
         f'<tr><td>{escape(key.replace("_", " "))}</td><td>{escape(as_text(value))}</td></tr>'
         for key, value in motion_measures(analysis).items())
     notes = ''.join(f'<p class="note">{escape(note)}</p>' for note in analysis.notes)
+    if shown is not None and shown['hidden']:
+        notes += (f'<p class="note">the 3-D view leaves out up to {shown["hidden"]} obstacles '
+                  'that are farther away than the others</p>')
     view = '' if analysis.robot is None else (
         f'<div class="view" id="view{index}"></div><div class="bar">'
         f'<button id="play{index}" aria-label="play or pause">play</button>'
@@ -232,14 +262,14 @@ def _packed(values: npt.ArrayLike) -> str:
     return base64.b64encode(np.asarray(values, dtype='<f4').tobytes()).decode()
 
 
-def _data(analysis: Analysis) -> dict[str, Any]:
+def _data(analysis: Analysis, view: dict[str, Any] | None) -> dict[str, Any]:
     """Return what the page's script draws."""
     curves = analysis.curves
     chosen = np.unique(np.linspace(0, len(curves.times) - 1, _CURVE).astype(int))
 
     def per_joint(label: str, values: Array) -> dict[str, Any]:
         return {'label': label, 'curves': [
-            {'name': name, 'values': _packed(values[chosen, i]),
+            {'name': _label(name), 'values': _packed(values[chosen, i]),
              'color': _COLORS[i % len(_COLORS)]}
             for i, name in enumerate(analysis.joint_names)]}
 
@@ -255,7 +285,7 @@ def _data(analysis: Analysis) -> dict[str, Any]:
             rows.append({'label': label, 'curves': [
                 {'name': name, 'values': _packed(shown), 'color': '#333333'}]})
     return {'time': _packed(curves.times[chosen] - curves.times[0]), 'rows': rows,
-            'view': _view(analysis) if analysis.robot is not None else None}
+            'view': view}
 
 
 def _view_count(analysis: Analysis) -> int:
@@ -275,21 +305,26 @@ def _view(analysis: Analysis) -> dict[str, Any]:
         for starts, ends in zip(arms.segment_start, arms.segment_end)])
     chains = np.array([np.vstack((np.zeros(3), robot.joint_points(q)))
                        for q in curves.positions[chosen]])
-    shown = [obstacles_at(curves, float(time)) for time in curves.times[chosen]]
-    most = max(len(obstacles) for obstacles in shown)
-    scenes: list[str] = []
+    scenes = [scene_at(curves, float(time)) for time in curves.times[chosen]]
+    corners = chains.reshape(-1, 3)
+    most = _GRIDS // len({id(scene) for scene in scenes})
+    near = {id(scene): _near(scene, corners, most) for scene in scenes}
+    width = max(len(rows) for rows in near.values())
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    edges = _AROUND * (high - low).max()
+    drawn: dict[str, int] = {}
     which: list[int] = []
-    extents = [chains.reshape(-1, 3)]
-    for obstacles in shown:
+    extents = [corners]
+    for scene in scenes:
+        rows = near[id(scene)]
         # As many in every scene: those that are missing are points at the origin.
-        grids = np.zeros((most, _BALL_RIBS * _BALL_SIDES, 3))
-        for i, obstacle in enumerate(obstacles):
-            grids[i] = _ellipsoid(obstacle.center, obstacle.semi_axes, obstacle.rotation)
+        grids = np.zeros((width, _BALL_RIBS * _BALL_SIDES, 3))
+        grids[:len(rows)] = _ellipsoids(scene, rows)
         packed = _packed(grids)
-        if packed not in scenes:
-            scenes.append(packed)
-            extents += list(grids[:len(obstacles)])
-        which.append(scenes.index(packed))
+        if packed not in drawn:
+            drawn[packed] = len(drawn)
+            extents.append(np.clip(grids[:len(rows)].reshape(-1, 3), low - edges, high + edges))
+        which.append(drawn[packed])
     extent = np.vstack(extents)
     middle = 0.5 * (extent.min(axis=0) + extent.max(axis=0))
     half = 0.5 * float((extent.max(axis=0) - extent.min(axis=0)).max()) + 0.05
@@ -297,30 +332,53 @@ def _view(analysis: Analysis) -> dict[str, Any]:
         'times': np.round(curves.times[chosen] - curves.times[0], 4).tolist(),
         'vertices': _packed(surfaces), 'capsules': len(radii), 'grid': [_RIBS, _SIDES],
         'ball': [_BALL_RIBS, _BALL_SIDES],
-        'chain': _packed(chains), 'tips': _packed(arms.tip_position), 'obstacles': scenes,
+        'chain': _packed(chains), 'tips': _packed(arms.tip_position), 'obstacles': list(drawn),
+        'hidden': max(len(scene.names) - len(near[id(scene)]) for scene in scenes),
         'scene': which, 'range': [[float(m - half), float(m + half)] for m in middle]}
 
 
-def _ellipsoid(center: Array, semi_axes: Array, rotation: Array) -> Array:
-    """Return a grid of points on an ellipsoid like that of `capsule_surface`, (u v, 3)."""
+def _near(scene: Scene, corners: Array, most: int) -> npt.NDArray[np.intp]:
+    """Return which obstacles are drawn around an arm's points (k, 3): the nearest ones."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    extent = float((high - low).max()) + 1e-3
+    sizes = scene.semi_axes.max(axis=1, initial=0.0)
+    with np.errstate(over='ignore'):
+        outside = np.maximum(np.maximum(low - scene.centers, scene.centers - high), 0.0)
+        away = np.linalg.norm(outside, axis=1) - sizes
+    candidates = np.flatnonzero((away < _AROUND * extent) & (sizes < _LARGE * extent))
+    return np.sort(candidates[np.argsort(away[candidates], kind='stable')[:most]])
+
+
+def _ellipsoids(scene: Scene, rows: npt.NDArray[np.intp]) -> Array:
+    """Return grids of points like that of `capsule_surface` on obstacles, (k, u v, 3)."""
     ball = capsule_surface(
         np.zeros(3), np.zeros(3), 1.0, _BALL_RIBS, _BALL_SIDES).reshape(-1, 3)
-    return (ball * semi_axes) @ rotation.T + center
+    scaled = ball * scene.semi_axes[rows, None]
+    return scaled @ scene.rotations[rows].transpose(0, 2, 1) + scene.centers[rows, None]
 
 
-def _figures(folder: Path, analysis: Analysis) -> None:
+def write_figures(
+    folder: Path, analysis: Analysis, suffixes: tuple[str, ...] = ('png', 'svg'),
+) -> None:
+    """Write the figures of an analysis to a folder."""
     curves = analysis.curves
     chosen = np.unique(np.linspace(0, len(curves.times) - 1, _CURVE).astype(int))
     times = curves.times[chosen] - curves.times[0]
-    for suffix in ('png', 'svg'):
+    names, title = analysis.joint_names[:_DIAGRAMS], f"'{analysis.name}'"
+    if len(names) < len(analysis.joint_names):
+        title += f': the first {len(names)} of {len(analysis.joint_names)} joints'
+    for suffix in suffixes:
         for kind, label, values in (
                 ('displacement', 'displacement [rad, m]', curves.positions - curves.positions[0]),
                 ('velocity', 'velocity [rad/s, m/s]', curves.velocities),
                 ('acceleration', 'acceleration [rad/s², m/s²]', curves.accelerations)):
-            joint_curves(folder / f'{analysis.name}_{kind}.{suffix}', analysis.joint_names, label,
-                         {analysis.name: ('-', times, values[chosen])}, f"'{analysis.name}'")
+            joint_curves(folder / f'{analysis.name}_{kind}.{suffix}', names, label,
+                         {analysis.name: ('-', times, values[chosen])}, title)
         if analysis.robot is not None:
+            scene = scene_at(curves, float(curves.times[-1]))
+            corners = np.vstack([analysis.robot.joint_points(q) for q in curves.positions[chosen]])
+            obstacles = scene.obstacles()
             motion_picture(
                 folder / f'{analysis.name}_motion.{suffix}', analysis.robot, times,
                 curves.positions[chosen], curves.velocities[chosen],
-                obstacles_at(curves, float(curves.times[-1])), f"'{analysis.name}'")
+                [obstacles[i] for i in _near(scene, corners, _PICTURED)], f"'{analysis.name}'")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from conftest import make_paper_arm
 from rclpy.serialization import serialize_message
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 
 from redundant_planner.analysis.recording import BagWriter
 from redundant_planner.analysis.simulation import simulate
@@ -39,8 +39,8 @@ def ns(time):
     return ORIGIN + round(time * 1e9)
 
 
-def write(path, robot, parameters, motion, topics=tuple(KINDS)):
-    """Record a motion: states and commands every tick, the twist as often, obstacles once."""
+def write(path, robot, parameters, motion, topics=tuple(KINDS), more=(), ticks=()):
+    """Record motions: states and commands every tick, the twist as often, obstacles once."""
     file = share_directory() / 'config' / 'robots' / 'paper_2p5r.yaml'
     robot_parameters, _ = read_robot_parameters(file)
     with BagWriter(path) as bag:
@@ -54,11 +54,18 @@ def write(path, robot, parameters, motion, topics=tuple(KINDS)):
         if 'obstacles' in topics:
             bag.write('/obstacles', ORIGIN, serialize_message(
                 markers_of(SCENARIO.obstacles, robot.base_frame)))
-        for i, dq in enumerate(motion.velocities):
-            at = ns(motion.times[i])
-            if 'cmd_vel' in topics:
-                bag.write_twist('/cmd_vel', at, SCENARIO.twist_at(motion.times[i]))
-            for topic in ('joint_states', 'joint_command'):
-                if topic in topics:
-                    bag.write_joints(f'/{topic}', at, robot.joint_names, motion.positions[i], dq)
+        if ticks:
+            bag.add_topic('/planner_node/ticks', 'std_msgs/msg/Float64MultiArray')
+        for i, numbers in enumerate(ticks):
+            bag.write('/planner_node/ticks', ns(DT * i),
+                      serialize_message(Float64MultiArray(data=numbers)))
+        for part in (motion, *more):
+            for i, dq in enumerate(part.velocities):
+                at = ns(part.times[i])
+                if 'cmd_vel' in topics:
+                    bag.write_twist('/cmd_vel', at, SCENARIO.twist_at(motion.times[i]))
+                for topic in ('joint_states', 'joint_command'):
+                    if topic in topics:
+                        bag.write_joints(
+                            f'/{topic}', at, robot.joint_names, part.positions[i], dq)
     return path

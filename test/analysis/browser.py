@@ -67,10 +67,12 @@ def main():
     def finish():
         seen['after'] = folder + '/after.png'
         view.grab().save(seen['after'])
-        page.runJavaScript('clock0.textContent', 0, end)
+        page.runJavaScript('clock0.textContent + "|" + document.scripts.length', 0, end)
 
-    def end(clock):
-        print(json.dumps({**seen, 'clock': clock, 'errors': page.errors}))
+    def end(counted):
+        clock, scripts = counted.split('|')
+        print(json.dumps({**seen, 'clock': clock, 'scripts': int(scripts),
+                          'errors': page.errors}))
         application.quit()
 
     QTimer.singleShot(STEP, wait_until_drawn)

@@ -7,6 +7,7 @@ import json
 
 from bags import KINDS, ns, paper_motion, SCENARIO, write
 from conftest import PANDA_URDF
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
@@ -18,7 +19,8 @@ from sensor_msgs.msg import JointState
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.analyze_bag import main as analyze_bag
 from redundant_planner.analysis.bag_analysis import analyse, reduction
-from redundant_planner.analysis.recording import BagWriter, open_bag, RecordingError, repair
+from redundant_planner.analysis.bag_files import RecordingError, repair
+from redundant_planner.analysis.recording import BagWriter, open_bag
 
 
 @pytest.fixture(scope='module')
@@ -195,8 +197,9 @@ def test_time_that_goes_backwards_and_strange_numbers_are_mentioned(tmp_path):
         bag.write('/joint_states', ns(0.06), serialize_message(
             JointState(name=['b'], position=[1.0], velocity=[1.0])))
     notes = ' '.join(analyse(path).notes)
-    for what in ('time goes backwards 1 times', '1 joint states with numbers that are not finite',
-                 '1 joint states of other joints'):
+    left_out = '1 messages on joint_states are left out: they'
+    for what in ('time goes backwards 1 times', f'{left_out} have positions that are not finite',
+                 f'{left_out} are of other joints'):
         assert what in notes
 
 
@@ -211,3 +214,123 @@ def test_reading_does_not_hold_the_bag(recorded):
         sizes = [len(item.stamps) for item in bag.read(('joint_states', 'cmd_vel'))
                  if hasattr(item, 'stamps')]
         assert max(sizes) == 1
+
+
+def write_states(path, positions, times, names=('a',)):
+    with BagWriter(path) as bag:
+        bag.add_topic('/joint_states', KINDS['joint_states'])
+        for time, q in zip(times, positions):
+            bag.write_joints('/joint_states', ns(time), names, np.full(len(names), q),
+                             np.full(len(names), 0.5))
+    return path
+
+
+def test_numbers_that_only_overflow_are_left_out_as_the_node_leaves_out_nan(tmp_path):
+    q = [0.0, 0.1, 1e308, 0.2, -1e308, np.inf, 0.3]
+    found = analyse(write_states(tmp_path / 'huge', q, 0.01 * np.arange(7)))
+    assert found.samples == 4 and found.notes[-1].startswith('3 messages on joint_states are')
+    np.testing.assert_allclose(found.joints.path, [0.3])
+    assert all(np.isfinite(value).all() for value in vars(found.joints).values())
+
+
+@pytest.mark.parametrize('pause', [3600.0, 10 * 365 * 86400.0])
+def test_a_pause_counts_for_nothing_but_is_mentioned(tmp_path, pause):
+    times = np.concatenate((0.01 * np.arange(10), pause + 0.01 * np.arange(10)))
+    found = analyse(write_states(tmp_path / 'long', 0.005 * np.arange(20), times))
+    np.testing.assert_allclose(found.joints.effort, 18 * 0.01 * 0.25, rtol=1e-3)
+    assert any('pauses 1 times' in note for note in found.notes)
+
+
+def configured(path, text):
+    """A bag of the paper's arm whose configuration is a text."""
+    _, _, motion = paper_motion(0.05)
+    with BagWriter(path) as bag:
+        for topic in ('joint_states', 'planner_node/configuration'):
+            bag.add_topic(f'/{topic}', KINDS[topic])
+        bag.write_text('/planner_node/configuration', ns(0.0), text)
+        for i, dq in enumerate(motion.velocities):
+            bag.write_joints('/joint_states', ns(motion.times[i]),
+                             ('d1', 'd2', *(f'theta{k}' for k in range(3, 8))),
+                             motion.positions[i], dq)
+    return path
+
+
+BOMB = 'a: &a [x, x]\n' + ''.join(
+    f'{chr(98 + i)}: &{chr(98 + i)} [{", ".join(["*" + chr(97 + i)] * 9)}]\n' for i in range(20))
+
+
+@pytest.mark.parametrize('text', [
+    '{', '- 1', 'null', '[' * 3000, '&a [*a]', '2020-13-45', '9' * 6000, BOMB, 'x' * 3_000_000,
+    '/**: {ros__parameters: {1: 2}}',
+    '/**: {ros__parameters: {tip_frame: tip, robot_description: <robot/>}}',
+    '/**: {ros__parameters: {tip_frame: [3], robot_description: 5}}',
+    '/**: {ros__parameters: {capsules: [a], capsule: 3, tip_frame: tip}}'])
+def test_an_unusable_configuration_costs_the_robot_and_no_more(tmp_path, text):
+    found = analyse(configured(tmp_path / 'bag', text))
+    assert found.robot is None and found.samples > 10
+    assert any('unusable' in note for note in found.notes)
+    assert all(len(note) < 3000 and note.isprintable() for note in found.notes)
+
+
+def test_unusable_static_obstacles_and_another_arm_are_mentioned(recorded, tmp_path):
+    path, robot, _ = recorded
+    with open_bag(path) as bag:
+        text = next(item.message.data for item in bag.read(['configuration']))
+    found = analyse(configured(tmp_path / 'static', text.replace(
+        'static_obstacle: {}', 'static_obstacle: {post: [1, 2]}')))
+    assert found.robot is not None
+    assert any('static obstacles' in note and 'unusable' in note for note in found.notes)
+    found = analyse(configured(tmp_path / 'other', text.replace('theta7', 'elsewhere')))
+    assert found.robot is None and found.joint_names == robot.joint_names
+    assert any("joints ['elsewhere'] were not recorded" in note for note in found.notes)
+
+
+def test_twists_and_factors_that_are_no_numbers_are_left_out(tmp_path):
+    path = tmp_path / 'odd'
+    with BagWriter(path) as bag:
+        for topic in ('joint_states', 'cmd_vel'):
+            bag.add_topic(f'/{topic}', KINDS[topic])
+        bag.add_topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
+        bag.write_twist('/cmd_vel', ns(0.0), np.full(6, np.nan))
+        bag.write_twist('/cmd_vel', ns(0.0), np.full(6, 1e300))
+        bag.write('/cmd_vel', ns(0.0), b'\x00\x01')
+        for i, value in enumerate(('0.5', 'nan', 'much')):
+            bag.write('/diagnostics', ns(0.01 * i), serialize_message(DiagnosticArray(
+                status=[DiagnosticStatus(values=[KeyValue(key='factor k', value=value)])])))
+            bag.write_joints('/joint_states', ns(0.01 * i), ('a',), np.zeros(1), np.zeros(1))
+    found = analyse(path)
+    np.testing.assert_array_equal(found.factor[:, 1], [0.5])
+    notes = ' '.join(found.notes)
+    assert '2 messages on cmd_vel are left out: they have numbers' in notes
+    assert '1 messages on cmd_vel are left out: they cannot be decoded' in notes
+
+
+@pytest.mark.parametrize(('names', 'reason'), [
+    ((), 'they name no joint'), (tuple(map(str, range(300))), 'they name 300 joints'),
+    (('\x1b[2J',), 'their joint names are no text'), (('a' * 9000,), 'are no text')])
+def test_joint_states_that_name_no_joints_are_left_out(tmp_path, names, reason):
+    with pytest.raises(RecordingError, match=reason):
+        analyse(write_states(tmp_path / 'bag', [0.0], [0.0], names))
+
+
+@pytest.mark.parametrize('name', ['[/]', '[red]x', '$x^{$', ':smile:', '_hidden', '<b>'])
+def test_a_name_is_no_markup(tmp_path, name, capsys):
+    folder = name.replace('/', '|')
+    path = write_states(tmp_path / folder, [0.0, 0.1], [0.0, 0.1], (name,))
+    assert analyze_bag([str(path), '--report', str(tmp_path / 'report')]) == 0
+    shown = capsys.readouterr().out
+    assert f' {name} ' in shown and f"'{folder}'" in shown
+
+
+def test_what_cannot_be_written_is_said_in_one_line(recorded, tmp_path, capsys):
+    path, *_ = recorded
+    (tmp_path / 'file').touch()
+    inside = str(tmp_path / 'file' / 'out')
+    for arguments in (['--json', inside], ['--csv', inside], ['--report', inside]):
+        assert analyze_bag([str(path), *arguments]) == 2
+        error = capsys.readouterr().err
+        assert inside in error and len(error.splitlines()) == 1
+    for arguments in (['--begin', 'nan'], ['--end', 'nan'], ['--end=-inf'],
+                      ['--begin', '1e300'], ['--begin=-inf', '--end=-1e300']):
+        assert analyze_bag([str(path), *arguments]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from bags import DT, paper_motion, write
+from hypothesis import given, strategies as st
 import numpy as np
 import pytest
 
@@ -99,11 +102,69 @@ def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path, capsys):
             ([bare], 'no robot'), ([short], 'too short'),
             ([stateless], 'no messages on joint_states'),
             ([tmp_path / 'gone'], 'no such file'), ([path, '--out', path], 'exists already'),
+            ([path, '--out', tmp_path / 'bad.yaml' / 'out'], 'bad.yaml'),
             ([path, '--params', tmp_path / 'no.yaml'], 'is not a file'),
             ([path, '--params', tmp_path / 'bad.yaml'], "'k_alpha' is 'much'")):
         assert replay_bag([str(a) for a in arguments]) == 2
         error = capsys.readouterr().err
         assert message in error and 'Traceback' not in error, error
+
+
+@pytest.mark.parametrize('pause', [3600.0, 10 * 365 * 86400.0])
+def test_a_pause_parts_a_replay(tmp_path, pause):
+    """Each part begins at its own first joint state, at rest, and lasts as long as it did."""
+    robot, parameters, motion = paper_motion(0.2)
+    whole = write(tmp_path / 'whole', robot, parameters, motion)
+    later = replace(motion, times=motion.times + pause)
+    path = write(tmp_path / 'parts', robot, parameters, motion, more=[later])
+    with open_bag(whole) as opened:
+        one = otherwise(read_inputs(opened, None, '', ''), parameters)
+    with open_bag(path) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert any('pauses 1 times' in note for note in inputs.notes)
+    both = otherwise(inputs, parameters)
+    count = len(one.times)
+    assert len(both.times) == 2 * count
+    for part in (slice(0, count), slice(count, None)):
+        np.testing.assert_allclose(both.velocities[part], one.velocities, atol=1e-6)
+    assert both.times[count] == pytest.approx(pause, abs=1.0)
+
+
+def test_states_that_the_node_skips_are_skipped(tmp_path):
+    robot, parameters, motion = paper_motion(0.2)
+    motion.positions[7] = np.nan
+    motion.positions[9, 2] = 1e308
+    path = write(tmp_path / 'run', robot, parameters, motion)
+    with open_bag(path) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert any(note.startswith('2 messages on joint_states are left') for note in inputs.notes)
+    assert np.isfinite(otherwise(inputs, parameters).velocities).all()
+
+
+def test_ticks_that_are_none_are_left_out(tmp_path):
+    robot, parameters, motion = paper_motion(0.2)
+    sound = [RecordedTick(i, motion.times[i], TickKind.GOING_ON if i else TickKind.STARTING, 0, 0,
+                          np.nan, np.zeros(6), motion.positions[i]).numbers() for i in range(9)]
+    sound[3] = sound[3][:-1]  # of another robot
+    sound[5][2] = np.nan
+    sound[6][4] = 1e300
+    path = write(tmp_path / 'run', robot, parameters, motion, ticks=sound)
+    with open_bag(path) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert len(inputs.ticks) == 6
+    assert sum('messages on ticks are left out' in note for note in inputs.notes) == 2
+    assert np.isfinite(again(inputs, parameters).velocities).all()
+
+
+@given(numbers=st.lists(st.floats() | st.sampled_from([0.0, 1.0, 2.0]), max_size=20))
+def test_whatever_numbers_a_tick_has_it_is_sound_or_refused(numbers):
+    try:
+        tick = RecordedTick.of(numbers)
+    except StateError as error:
+        assert 'recorded tick' in str(error)
+    else:
+        assert np.isfinite([tick.stamp_ns, tick.time, *tick.twist, *tick.q]).all()
+        assert min(tick.stamp_ns, tick.obstacle_messages, tick.preview_messages) >= 0
 
 
 def test_a_recorded_tick_survives_the_way_there_and_back_and_nonsense_is_refused():
