@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 PIP_INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check
 # So that no node has to, the first time it starts.
-COMPILE = $(VENV)/bin/python -c 'import redundant_planner.core.planner'
+COMPILE = $(VENV)/bin/python -m redundant_planner.compile
 
 .PHONY: demo test lint clean
 

@@ -22,7 +22,7 @@ Result = TypeVar('Result')
 PATIENCE = 20.0
 
 
-class Stalled(Exception):
+class StalledError(Exception):
     """An input was not done with within `PATIENCE`."""
 
 
@@ -83,7 +83,7 @@ class Tally:
 @contextlib.contextmanager
 def _in_time() -> Iterator[None]:
     def stall(number: int, frame: FrameType | None) -> None:
-        raise Stalled(f'no answer within {PATIENCE:g} s')
+        raise StalledError(f'no answer within {PATIENCE:g} s')
 
     before = signal.signal(signal.SIGALRM, stall)
     signal.setitimer(signal.ITIMER_REAL, PATIENCE)

@@ -13,11 +13,14 @@ control loop while it is being compiled. A wrong one is a TypeError instead.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+import contextlib
 from contextlib import contextmanager
 import functools
+import hashlib
 import os
 from pathlib import Path
 import shutil
+import stat
 import sys
 from typing import Any, TypeVar, Union
 import zlib
@@ -26,6 +29,8 @@ import numba
 from numba import types
 import numpy as np
 import numpy.typing as npt
+
+from redundant_planner.core.cache_folder import cache_folder
 
 # Arrays of 1, 2, 3 and 4 dimensions. As arguments in any order and read-only or not; as fields
 # of a NamedTuple C-ordered and writeable.
@@ -60,18 +65,39 @@ def compiled(function: _Function) -> _Function:
     They are the names above, float, int, bool, NamedTuples of these, and `Fields` of such.
     Division by zero gives infinity or NaN, as in NumPy.
     """
+    return _compile(function, {})
+
+
+def kernel(function: _Function) -> _Function:
+    """Compile a function, as `compiled`, that only compiled functions call.
+
+    What takes arguments over from Python is left out, which is a good part of the work.
+    """
+    return _compile(function, {'no_cpython_wrapper': True})
+
+
+def _compile(function: _Function, options: dict[str, bool]) -> _Function:
     if numba.config.DISABLE_JIT:
         return function
     arguments = tuple(
         _argument_type(str(annotation), function.__globals__)
         for name, annotation in function.__annotations__.items() if name != 'return')
     with _keeping() as kept:
-        dispatcher = numba.njit(arguments, cache=kept, error_model='numpy')(function)
-    if not _told and dispatcher.stats.cache_misses:
+        dispatcher = numba.njit(
+            arguments, cache=kept, error_model='numpy', no_cfunc_wrapper=True, **options,
+        )(function)
+    if dispatcher.stats.cache_misses:
+        _say_once()
+        if kept:
+            seal(Path(dispatcher.stats.cache_path), f'.{function.__qualname__}-')
+    return dispatcher
+
+
+def _say_once() -> None:
+    if not _told:
         _told.append(True)
         print('redundant_planner: compiling its mathematics, once per installation; this takes '
               'about half a minute', file=sys.stderr, flush=True)
-    return dispatcher
 
 
 _told: list[bool] = []
@@ -120,23 +146,60 @@ def _keeping() -> Iterator[bool]:
 
 @functools.cache
 def _folder() -> Path | None:
+    """Return this version's folder, with nothing in it that is damaged; None if there is none."""
     here = Path(__file__).parent
     sources = b''.join(path.read_bytes() for path in sorted(here.glob('*.py')))
     name = f'compiled-{zlib.crc32(sources):08x}'
     beside = here / '__pycache__'
-    caches = Path(os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache'))
-    parents = [beside, caches / 'redundant_planner']
-    if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, somebody's wish
-        parents.insert(0, Path(numba.config.CACHE_DIR))
     # Nobody else keeps anything here: what is left is of other versions.
     for other in beside.glob('compiled-*'):
         if other.name != name:
             shutil.rmtree(other, ignore_errors=True)
-    for parent in parents:
-        try:
-            (parent / name).mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(parent / name, os.W_OK):
+    # NUMBA_CACHE_DIR is somebody's wish.
+    wished = [Path(numba.config.CACHE_DIR)] if numba.config.CACHE_DIR else []
+    for parent in (*wished, beside, cache_folder()):
+        if parent is not None and _private(parent / name):
+            drop_damaged(parent / name)
             return parent / name
     return None
+
+
+def _private(folder: Path) -> bool:
+    """Make a folder; return whether it is there and nobody but this user can write to it."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.stat()
+    except OSError:
+        return False
+    return (status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+            and os.access(folder, os.W_OK))
+
+
+# Numba runs whatever it finds in its files. Beside each of them lies its checksum.
+_SEAL = '.sum'
+_KEPT = ('*.nbi', '*.nbc')
+
+
+def seal(folder: Path, part: str) -> None:
+    """Write the checksums of a folder's files that have `part` in their name."""
+    for file in (file for kind in _KEPT for file in folder.glob(kind) if part in file.name):
+        with contextlib.suppress(OSError):  # another process has just replaced it
+            beside = file.with_name(f'{file.name}{_SEAL}.{os.getpid()}')
+            beside.write_text(_checksum(file))
+            beside.replace(file.with_name(file.name + _SEAL))
+
+
+def drop_damaged(folder: Path) -> None:
+    """Delete the files below a folder that are not as they were written: cut, empty, altered."""
+    for file in (file for kind in _KEPT for file in folder.rglob(kind)):
+        try:
+            sound = file.with_name(file.name + _SEAL).read_text() == _checksum(file)
+        except (OSError, ValueError):
+            sound = False
+        if not sound:
+            with contextlib.suppress(OSError):
+                file.unlink()
+
+
+def _checksum(file: Path) -> str:
+    return hashlib.blake2b(file.read_bytes()).hexdigest()

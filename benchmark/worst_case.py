@@ -1,0 +1,303 @@
+"""The longest tick among hostile obstacles: `python -m benchmark.worst_case --help`.
+
+Crowds of obstacles appear around a moving arm, vanish, grow, wander, close in and surround it,
+while its command leaps about. Every tick is timed by the processor time of this process, with
+what a new scene costs (`Planner.prepare`) included. Ticks are shared evenly between the arms, the
+methods and the numbers of obstacles. The longest are played again, and the fastest time of each
+counts: what the machine itself put in between does not (`longest_at_first_us` has it). Compare
+with the reference, the median tick of `dynamic_factor` without obstacles in the same run.
+
+    python -m benchmark.worst_case --ticks 1000000 --json worst_case.json
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, field
+import gc
+import itertools
+import json
+from pathlib import Path
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from benchmark.scenarios import make_robot
+from benchmark.speed import planner_times, STARTS
+from redundant_planner.core.horizon import Preview
+from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.parameters import METHODS, PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+COUNTS = (0, 10, 100, 1000, 10_000)
+_ARMS = {'panda': 6, 'paper': 3}
+_DT = 0.004
+# Ticks of one act, from a new start posture and another kind of crowd; and between two scenes.
+_ACT = 250
+_SCENE_EVERY = 8
+# How many of the longest ticks are told, and how often an act is repeated at most for one.
+_TOLD = 5
+_REPEATS = 6
+_REFERENCE_TICKS = 500
+
+
+class Act(NamedTuple):
+    """A motion through a crowd: the same every time.
+
+    Attributes:
+        arm, method: whose ticks.
+        count: of obstacles.
+        seed, number: of the random numbers, and which kind of crowd.
+    """
+
+    arm: str
+    method: str
+    count: int
+    seed: int
+    number: int
+
+    @property
+    def kind(self) -> str:
+        """What the obstacles do."""
+        return KINDS[self.number % len(KINDS)] if self.count else 'none'
+
+
+class Tick(NamedTuple):
+    """A tick that took long.
+
+    Attributes:
+        time: it took [us].
+        act, index: which.
+        stage: of the safety filter.
+    """
+
+    time: float
+    act: Act
+    index: int
+    stage: str
+
+
+@dataclass
+class Found:
+    """Times of the ticks among a number of obstacles.
+
+    Attributes:
+        times: of all [us].
+        fallbacks: ticks in which a bound on the work was reached.
+        slowest: the longest tick of every act.
+    """
+
+    times: list[float] = field(default_factory=list)
+    fallbacks: int = 0
+    slowest: list[Tick] = field(default_factory=list)
+
+
+KINDS = ('around', 'appearing', 'growing', 'closing in', 'wandering', 'crossing', 'cage',
+         'slivers')
+
+
+class Crowd:
+    """Obstacles that are as inconvenient as their kind has it."""
+
+    def __init__(self, kind: str, count: int, random: np.random.Generator) -> None:
+        """Prepare `count` obstacles of one of `KINDS`."""
+        self._kind, self._random = kind, random
+        self._names = tuple(f'o{i}' for i in range(count))
+        self._away = random.normal(size=(count, 3))
+        self._away /= np.linalg.norm(self._away, axis=1)[:, None] + 1e-9
+        self._at = random.uniform(-1.0, 1.0, count)  # along the arm
+        self._distance = random.uniform(0.12, 0.5, count)
+        if kind in ('crossing', 'closing in'):
+            self._distance += 0.5
+        sizes = random.uniform(0.01, 0.05, (count, 3))
+        if kind == 'slivers':
+            sizes[:, 0] *= 20.0
+        elif kind != 'growing':
+            sizes[:] = sizes[:, :1] * random.uniform(0.7, 1.3, (count, 3))
+        self._sizes = sizes
+        self._turns = _rotations(random, count)
+        speed = {'crossing': 0.4, 'closing in': 0.25, 'wandering': 0.1}.get(kind, 0.0)
+        self._velocity = -speed * self._away
+        if kind == 'wandering':
+            self._velocity = speed * random.normal(size=(count, 3))
+        self._centers: Array | None = None
+
+    def scene(self, robot: Robot, q: Array, elapsed: float) -> Scene:
+        """Return the obstacles at a posture and a time since the last scene [s]."""
+        random, count = self._random, len(self._names)
+        if not count:
+            return Scene.of()
+        around = self._centers is None or self._kind in ('appearing', 'around', 'cage')
+        if around and (self._centers is None or random.random() < 0.3):
+            arm = robot.kinematics(q)
+            link = random.integers(len(arm.segment_start), size=count)
+            share = random.uniform(0.0, 1.0, (count, 1))
+            points = arm.segment_start[link] + share * (
+                arm.segment_end[link] - arm.segment_start[link])
+            distance = self._distance[:, None]
+            if self._kind == 'cage':
+                distance = 0.18 + 0.02 * random.random((count, 1))
+            self._centers = points + distance * self._away
+        assert self._centers is not None
+        self._centers = self._centers + elapsed * self._velocity
+        if self._kind == 'growing':
+            self._sizes = np.minimum(self._sizes * 1.02, 0.3)
+        chosen = np.arange(count)
+        if self._kind == 'appearing':
+            chosen = np.flatnonzero(random.random(count) < random.choice([0.0, 0.1, 0.5, 1.0]))
+        return Scene(tuple([self._names[i] for i in chosen.tolist()]), self._centers[chosen],
+                     self._turns[chosen], self._sizes[chosen], self._velocity[chosen])
+
+
+def _rotations(random: np.random.Generator, count: int) -> Array:
+    """Return random rotation matrices (count, 3, 3)."""
+    turned, upper = np.linalg.qr(random.normal(size=(count, 3, 3)))
+    return np.asarray(turned * np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :])
+
+
+def start_posture(robot: Robot, random: np.random.Generator) -> Array:
+    """Return a posture (n,) well inside the limits."""
+    low = np.where(np.isfinite(robot.position_min), robot.position_min, -np.pi)
+    high = np.where(np.isfinite(robot.position_max), robot.position_max, np.pi)
+    return np.asarray(low + random.uniform(0.1, 0.9, robot.n) * (high - low))
+
+
+def play(robot: Robot, act: Act) -> tuple[Array, int, Tick]:
+    """Play an act; return the times of its ticks [us], how many fell back, and the longest."""
+    random = np.random.default_rng((act.seed, act.number, act.count))
+    crowd = Crowd(act.kind, act.count, random)
+    planner = Planner(robot, PlannerParameters(method=act.method))
+    q = start_posture(robot, random)
+    scene, twist, ahead = Scene.of(), np.zeros(6), None
+    times, fallbacks, stage = np.empty(_ACT), 0, ''
+    for i in range(_ACT):
+        if i % 50 == 0:
+            twist = random.normal(size=6) * random.choice([0.0, 0.1, 0.3, 1.0], size=6)
+            ahead = None
+            if random.random() < 0.3:
+                span = np.linspace(0.0, 3.0, 20)
+                ahead = Preview(span, np.outer(np.cos(span), twist)).between
+        new = i % _SCENE_EVERY == 0
+        if new:
+            scene = crowd.scene(robot, q, _DT * _SCENE_EVERY)
+        begin = time.process_time_ns()
+        if new:
+            planner.prepare(scene)
+        result = planner.step(q, twist, scene, _DT, ahead)
+        times[i] = 1e-3 * (time.process_time_ns() - begin)
+        fallbacks += bool(result.fallback)
+        if times[i] == times[:i + 1].max():
+            stage = result.stage.name
+        q = np.clip(q + _DT * result.dq, robot.position_min, robot.position_max)
+    longest = int(times.argmax())
+    return times, fallbacks, Tick(float(times[longest]), act, longest, stage)
+
+
+def confirmed(slowest: list[Tick], robots: dict[str, Robot]) -> list[Tick]:
+    """Return the ticks that take longest by themselves, the longest first.
+
+    Now and then the machine puts something into a tick, which its processor time has as well. An
+    act is the same every time, so its slow ticks are played again, and the fastest time of each
+    counts. Whatever took less than the longest of these need not be looked at.
+    """
+    sure: list[Tick] = []
+    for tick in sorted(slowest, key=lambda tick: -tick.time):
+        if len(sure) >= _TOLD and tick.time <= sure[0].time:
+            break
+        least = play(robots[tick.act.arm], tick.act)[0]
+        for _ in range(_REPEATS - 1):
+            if len(sure) >= _TOLD and least.max() <= sure[0].time:
+                break
+            least = np.minimum(least, play(robots[tick.act.arm], tick.act)[0])
+        at = int(least.argmax())
+        sure.append(tick._replace(time=float(least[at]), index=at,
+                                  stage=tick.stage if at == tick.index else ''))
+        sure.sort(key=lambda tick: -tick.time)
+    return sure[:_TOLD]
+
+
+def reference(robot: Robot) -> float:
+    """Return the median tick of `dynamic_factor` without obstacles [us]."""
+    times = planner_times(robot, STARTS['panda'], [], 'dynamic_factor', _REFERENCE_TICKS)
+    return float(np.median(times))
+
+
+def measure(counts: list[int], ticks: int, methods: list[str], seed: int) -> dict[str, Any]:
+    """Measure ticks, shared evenly; keys as in the JSON."""
+    robots = {name: make_robot(name, axes) for name, axes in _ARMS.items()}
+    found = {count: Found() for count in counts}
+    cases = list(itertools.product(counts, robots, methods))
+    acts = max(round(ticks / (_ACT * len(cases))), 1)
+    gc.collect()
+    gc.freeze()  # as the node does
+    references = [reference(robots['panda'])]
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task('acts', total=acts * len(cases))
+        for number in range(acts):
+            for count, arm, method in cases:
+                times, fallbacks, longest = play(
+                    robots[arm], Act(arm, method, count, seed, number))
+                found[count].times.extend(times.tolist())
+                found[count].fallbacks += fallbacks
+                found[count].slowest.append(longest)
+                bar.advance(task)
+            references.append(reference(robots['panda']))
+    return {'reference_us': float(np.median(references)), 'seed': seed,
+            'obstacles': {str(count): _entry(one, robots) for count, one in found.items()}}
+
+
+def _entry(found: Found, robots: dict[str, Robot]) -> dict[str, Any]:
+    longest = confirmed(found.slowest, robots)
+    return {'longest_us': longest[0].time, 'longest_at_first_us': max(found.times),
+            'p9999_us': float(np.percentile(found.times, 99.99)),
+            'median_us': float(np.median(found.times)), 'ticks': len(found.times),
+            'fallbacks': found.fallbacks,
+            'what': [f'{tick.time:.0f} us: {tick.act.arm}, {tick.act.method}, {tick.act.kind}, '
+                     f'act {tick.act.number}, tick {tick.index} {tick.stage}'.rstrip()
+                     for tick in longest]}
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the benchmark; return the process's exit status."""
+    parser = argparse.ArgumentParser(
+        prog='benchmark.worst_case', description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--ticks', type=int, default=100_000)
+    parser.add_argument('--counts', type=int, nargs='+', default=list(COUNTS), metavar='COUNT')
+    parser.add_argument('--method', action='append', choices=METHODS)
+    parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--json', type=Path, metavar='FILE')
+    options = parser.parse_args(args)
+    result = measure(
+        options.counts, options.ticks, options.method or list(METHODS), options.seed)
+    unit = result['reference_us']
+    table = Table(title=f'processor time per tick; reference {unit:.1f} us')
+    for column in ('obstacles', 'ticks', 'median', '99.99 %', 'longest', 'times the reference',
+                   'longest at first', 'fallbacks'):
+        table.add_column(column, justify='right')
+    for count, entry in result['obstacles'].items():
+        table.add_row(
+            count, str(entry['ticks']), f'{entry["median_us"]:.0f} us',
+            f'{entry["p9999_us"]:.0f} us', f'{entry["longest_us"]:.0f} us',
+            f'{entry["longest_us"] / unit:.1f}', f'{entry["longest_at_first_us"]:.0f} us',
+            str(entry['fallbacks']))
+    console = Console(width=110)
+    console.print(table)
+    for count, entry in result['obstacles'].items():
+        for what in entry['what']:
+            console.print(f'{count}: {what}', highlight=False)
+    if options.json is not None:
+        options.json.write_text(json.dumps(result, indent=1))
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

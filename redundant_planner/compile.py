@@ -1,0 +1,49 @@
+"""Compiles all mathematics ahead of the first start, on two cores: run it after an installation.
+
+    python -m redundant_planner.compile
+
+Whatever is compiled already is only loaded. Without it the first import does the same work, on one
+core. Two processes compile side by side; what one of them needs from the other comes in an
+earlier step.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+_CORE = 'redundant_planner.core'
+# Steps of two lanes each: modules that do not import each other.
+_STEPS = (
+    (('null_space', 'drift'), ('jacobian', 'obstacles')),
+    (('indices', 'self_collision', 'robot'), ('broad_phase', 'safety', 'joint_motion')),
+    (('horizon',), ('evasion', 'nodes')),
+    (('planner',), ()),
+)
+_NODES = 'redundant_planner.nodes.obstacle_book'
+
+
+def _module(name: str) -> str:
+    return _NODES if name == 'nodes' else f'{_CORE}.{name}'
+
+
+def main() -> int:
+    """Compile everything; return the process's exit status."""
+    begin = time.monotonic()
+    print('compiling the mathematics of redundant_planner', flush=True)
+    for lanes in _STEPS:
+        children = [subprocess.Popen(
+            [sys.executable, '-c', ''.join(f'import {_module(name)}\n' for name in lane)],
+            stderr=subprocess.PIPE, text=True) for lane in lanes if lane]
+        for child in children:
+            _, errors = child.communicate()
+            if child.returncode:
+                print(errors, file=sys.stderr, end='')
+                return child.returncode
+    print(f'done after {time.monotonic() - begin:.0f} s')
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
