@@ -39,7 +39,7 @@ Array = npt.NDArray[np.float64]
 
 COUNTS = (0, 1, 3, 10, 100, 1000, 10_000)
 _DT = 0.004
-_STARTS = {'panda': np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]),
+STARTS = {'panda': np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]),
            'paper': np.array([0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0])}
 _TWIST = np.array([0.05, 0.05, 0.0, 0.0, 0.0, 0.1])
 # The tip goes to and fro, gently enough for the acceleration limits; so many ticks a turn.
@@ -118,9 +118,10 @@ def sections(
     maps = whitening(Scene.of(obstacles), [c.radius for c in robot.capsules])
     arm, p = robot.kinematics(start), PlannerParameters()
     speeds = robot.levers @ robot.acceleration_max * _DT  # of the first tick from rest
+    all_seen = np.full(len(speeds), np.inf)
     near = near_pairs(
         maps, arm.segment_start, arm.segment_end, arm.columns, robot.moves, speeds,
-        p.barrier_gain, p.influence_distance)
+        p.barrier_gain, p.influence_distance, all_seen)
     limits = safety.Limits(np.array((robot.position_max, robot.position_min)),
                            robot.velocity_max, robot.acceleration_max)
     at_rest, twist = np.zeros(robot.n), robot.task_rows(_TWIST)
@@ -128,7 +129,7 @@ def sections(
         'kinematics': lambda: robot.kinematics(start),
         'clearances and gradients': lambda: near_pairs(
             maps, arm.segment_start, arm.segment_end, arm.columns, robot.moves, speeds,
-            p.barrier_gain, p.influence_distance),
+            p.barrier_gain, p.influence_distance, all_seen),
         'decomposition': lambda: null_space.decompose(arm.jacobian),
         'derivative of J': lambda: derivative_between(
             twist, arm.tip_jacobian, start, arm.tip_rotation, robot.in_tool, robot.rows),
@@ -164,7 +165,7 @@ def _median(part: Any, ticks: int) -> float:
 
 def measure(name: str, counts: list[int], ticks: int, peers: bool) -> dict[str, Any]:
     """Measure everything for one arm; keys as in the JSON, then the number of obstacles."""
-    robot, start = make_robot(name, 6 if name == 'panda' else 3), _STARTS[name]
+    robot, start = make_robot(name, 6 if name == 'panda' else 3), STARTS[name]
     result: dict[str, Any] = {
         key: {} for key in (
             'tick_us', 'tick_p99_us', 'tick_own_p99_us', 'variational_us', 'hall_tick_us',
@@ -208,7 +209,7 @@ def versions() -> dict[str, str]:
 def main(args: list[str] | None = None) -> int:
     """Run the benchmark; return the process's exit status."""
     parser = argparse.ArgumentParser(prog='benchmark.speed', description=__doc__)
-    parser.add_argument('--robot', choices=tuple(_STARTS), default='panda')
+    parser.add_argument('--robot', choices=tuple(STARTS), default='panda')
     parser.add_argument('--counts', type=int, nargs='+', default=list(COUNTS), metavar='COUNT')
     parser.add_argument('--ticks', type=int, default=2000)
     parser.add_argument('--without-peers', action='store_true')
@@ -220,7 +221,7 @@ def main(args: list[str] | None = None) -> int:
     growth = {}
     if options.hour:
         robot = make_robot(options.robot, 6 if options.robot == 'panda' else 3)
-        growth['hour_growth_mib'] = hour_growth(robot, _STARTS[options.robot])
+        growth['hour_growth_mib'] = hour_growth(robot, STARTS[options.robot])
     table = Table(title=f'{options.robot}: time per tick [us]')
     table.add_column('obstacles')
     keys = [key for key in result if key != 'sections_us' and result[key]]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.compiled import compiled, Matrix, Vector
+from redundant_planner.core.compiled import compiled, kernel, Matrix, Vector
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class Pose(NamedTuple):
     rotation: Matrix
 
 
-@compiled
+@kernel
 def rotation_of(vector: Vector) -> Array:
     """Return the rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues)."""
     x, y, z = vector
@@ -47,7 +47,7 @@ def rotation_of(vector: Vector) -> Array:
         (second * x * z - first * y, second * y * z + first * x, 1.0 - second * (x * x + y * y))))
 
 
-@compiled
+@kernel
 def rotation_vector(rotation: Matrix) -> Array:
     """Return the rotation vector (3,) of a rotation matrix (3, 3), no longer than π [rad].
 
@@ -76,13 +76,13 @@ def rotation_vector(rotation: Matrix) -> Array:
     return quaternion * (2.0 * math.atan2(size, scalar) / size if size > 0.0 else 0.0)
 
 
-@compiled
+@kernel
 def _cross(a: Vector, b: Vector) -> Array:
     return np.array((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
                      a[0] * b[1] - a[1] * b[0]))
 
 
-@compiled
+@kernel
 def _product(a: Matrix, b: Matrix) -> Array:
     product = np.zeros((3, 3))
     for i in range(3):
@@ -92,7 +92,7 @@ def _product(a: Matrix, b: Matrix) -> Array:
     return product
 
 
-@compiled
+@kernel
 def _turned(rotation: Matrix, vector: Vector) -> Array:
     turned = np.zeros(3)
     for i in range(3):
@@ -163,7 +163,7 @@ def displaced(pose: Pose, error: Vector, in_tool: bool) -> Pose:
     return Pose(pose.position + displacement, _product(rotation_of(rotation), pose.rotation))
 
 
-@compiled
+@kernel
 def bounded(error: Vector, distance: float, angle: float) -> Array:
     """Return the error (6,) with its linear and angular parts no longer than the caps.
 

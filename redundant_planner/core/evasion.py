@@ -20,7 +20,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.compiled import compiled, Fields, Indices, Matrix, OutVector, Vector
+from redundant_planner.core.compiled import (
+    compiled,
+    Fields,
+    Indices,
+    kernel,
+    Matrix,
+    OutVector,
+    Vector,
+)
 from redundant_planner.core.obstacles import Whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import Kinematics, Robot
@@ -31,8 +39,10 @@ Array = npt.NDArray[np.float64]
 # How many joints are turned, and turns to try, in seconds at full speed: in every combination.
 _TURNED = 2
 _TURNS = (0.0, 0.08, -0.08, 0.16, -0.16, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8, 1.2, -1.2)
-# So many of them are tried in a tick, which bounds its time; all of them take 8 ticks.
+# So many of them are tried in a tick; all of them take 8 ticks. And so many distances of links
+# from obstacles are looked at for it, which bounds a tick's time among many that move.
 _TRIED = 24
+_BUDGET = 15_000
 # What a link counts that is moved by more joints than turn: the others may still save it.
 _SHARE_OF_OTHERS = 0.2
 # Time between the postures that are looked at [s].
@@ -101,19 +111,19 @@ class Evasion:
         self._first: tuple[Any, ...] = tuple(joints._replace(
             links=joints.links[moved_by[joints.links] <= count]))
         seconds = sorted(itertools.product(_TURNS, repeat=count), key=np.linalg.norm)
-        turns = np.array(seconds) * robot.velocity_max[:count]
-        self._batches = [turns[i:i + _TRIED] for i in range(0, len(turns), _TRIED)]
+        self._turns = np.array(seconds) * robot.velocity_max[:count]
         self.reset()
 
     def reset(self) -> None:
         """Forget the turn that is being made."""
         self._target: Array | None = None
         self._next = 0
+        self.spent = 0
 
     def turn(
         self, arm: Kinematics, maps: Whitening, previous: Array, leaving: bool, dt: float,
     ) -> Turn:
-        """Return what the first joints shall do.
+        """Return what the first joints shall do; `spent` is then how many distances it took.
 
         Args:
             arm: its posture.
@@ -136,18 +146,23 @@ class Evasion:
         count = len(self._position_min)
         q, velocities = arm.q[:count], previous[:count].copy()
 
-        def best(turns: Array, limit: float) -> tuple[int, float]:
-            return _best(
-                plain, obstacles, self._joints, velocities, turns, self._horizon, _ENOUGH, limit)
+        def best(turns: Array, limit: float, budget: int) -> tuple[int, float, int]:
+            at, shortage, tried, spent = _best(
+                plain, obstacles, self._joints, velocities, turns, self._horizon, _ENOUGH, limit,
+                budget)
+            self.spent += spent
+            return at, shortage, tried
 
+        self.spent = 0
         shortage = np.inf
         if self._target is not None:
-            _, shortage = best(self._target[None] - q, np.inf)
+            _, shortage, _ = best(self._target[None] - q, np.inf, 1)
         if shortage > _ENOUGH ** 2:
+            until = min(self._next - self._next % _TRIED + _TRIED, len(self._turns))
             turns = np.minimum(np.maximum(
-                self._batches[self._next], self._position_min - q), self._position_max - q)
-            self._next = (self._next + 1) % len(self._batches)
-            at, _ = best(turns, _BETTER * shortage)
+                self._turns[self._next:until], self._position_min - q), self._position_max - q)
+            at, _, tried = best(turns, _BETTER * shortage, _BUDGET - self.spent)
+            self._next = (self._next + tried) % len(self._turns)
             if at >= 0:
                 self._target = q + turns[at]
         if self._target is None:  # obstacles too large for numbers
@@ -197,7 +212,7 @@ def _threat(
     return link_at, obstacle_at
 
 
-@compiled
+@kernel
 def _next_speed(
     rest: float, speed: float, speed_max: float, acceleration_max: float, dt: float,
 ) -> float:
@@ -237,7 +252,7 @@ def _turned_about(column: Vector, turn: float, point: OutVector) -> None:
     point[2] += sine * c + rest * (w1 * b - w2 * a)
 
 
-@compiled
+@kernel
 def _distance(maps: Whitening, link: int, start: Vector, end: Vector, time: float) -> float:
     """Return a link's smallest distance from where obstacles are after a time [m].
 
@@ -262,12 +277,14 @@ def _distance(maps: Whitening, link: int, start: Vector, end: Vector, time: floa
     return least
 
 
-@compiled
+@kernel
 def _shortage(
     arm: Kinematics, maps: Whitening, joints: _Joints, velocities: Vector, turn: Vector,
     at_first: Vector, horizon: float, enough: float, limit: float,
-) -> float:
-    """Return what a turn (k,) falls short; more than the limit may be too little [m²].
+) -> tuple[float, int]:
+    """Return what a turn (k,) falls short, and how often a link was measured for that [m²].
+
+    More than the limit may be too little.
 
     A distance falls by no more than the link and the obstacles have moved: it is only measured
     where it could have come down to what is enough.
@@ -280,7 +297,7 @@ def _shortage(
     speeds, turned = velocities.copy(), np.zeros(len(turn))
     start, end = np.empty(3), np.empty(3)
     passing = _STEP * maps.speeds.max()
-    shortage = 0.0
+    shortage, measured = 0.0, 0
     for step in range(1, math.ceil(horizon / _STEP) + 1):
         for link in joints.links:
             spare[link] -= passing
@@ -302,6 +319,7 @@ def _shortage(
                     _turned_about(arm.columns[:, j], turned[j], start)
                     _turned_about(arm.columns[:, j], turned[j], end)
             distance = _distance(maps, link, start, end, step * _STEP)
+            measured += 1
             spare[link] = distance - enough
             if distance < least[link]:
                 shortage += joints.shares[link] * (
@@ -309,14 +327,14 @@ def _shortage(
                 least[link] = distance
         if shortage >= limit:
             break
-    return shortage
+    return shortage, measured
 
 
 @compiled
 def _best(
     arm: Fields[Kinematics], maps: Fields[Whitening], joints: Fields[_Joints],
-    velocities: Vector, turns: Matrix, horizon: float, enough: float, limit: float,
-) -> tuple[int, float]:
+    velocities: Vector, turns: Matrix, horizon: float, enough: float, limit: float, budget: int,
+) -> tuple[int, float, int, int]:
     """Return the first turn that keeps clear, else the one that falls least short of that.
 
     What a turn falls short is the sum over links of their share times (enough − smallest
@@ -329,21 +347,24 @@ def _best(
         turns: (t, k) [rad, m].
         enough: distance from which on a link is clear [m].
         limit: turns that fall short by this much do not count [m²].
+        budget: no further turn is tried once so many distances have been looked at.
 
     Returns:
-        The turn's index, −1 where none counts, and what it falls short [m²].
+        The turn's index, −1 where none counts, what it falls short [m²], how many turns are
+        done with, and how many distances were looked at.
     """
     arm, maps, joints = Kinematics(*arm), Whitening(*maps), _Joints(*joints)
     at_first = np.zeros(len(joints.moves))
     for link in joints.links:
         at_first[link] = _distance(
             maps, link, arm.segment_start[link], arm.segment_end[link], 0.0) - enough
-    chosen, smallest = -1, limit
-    for i in range(len(turns)):
-        shortage = _shortage(
-            arm, maps, joints, velocities, turns[i], at_first, horizon, enough, smallest)
+    chosen, smallest, tried, spent = -1, limit, 0, 0
+    while tried < len(turns) and (tried == 0 or spent < budget):
+        shortage, measured = _shortage(
+            arm, maps, joints, velocities, turns[tried], at_first, horizon, enough, smallest)
+        spent += measured * len(maps.speeds)
         if shortage < smallest:
-            chosen, smallest = i, shortage
-        if smallest == 0.0:
-            break
-    return chosen, smallest
+            chosen, smallest = tried, shortage
+        # Nothing is better than a turn that falls short of nothing.
+        tried = tried + 1 if smallest > 0.0 else len(turns)
+    return chosen, smallest, tried, spent

@@ -27,7 +27,15 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core import drift, null_space
-from redundant_planner.core.compiled import compiled, Fields, Indices, Matrix, Stack, Vector
+from redundant_planner.core.compiled import (
+    compiled,
+    Fields,
+    Indices,
+    kernel,
+    Matrix,
+    Stack,
+    Vector,
+)
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles import link_clearance, near_pairs_along, Whitening
@@ -65,6 +73,10 @@ _PRICE = 200.0
 # The first interval is a small one, for the velocity of now; the later ones grow.
 _STRETCH = 1.5
 _SOFT = 8
+# Iterations that a step's problem may take: more than most scenes need. What the solver has by
+# then minds the constraints that it has met so far, and the next step goes on from there.
+_MOST_ITERATIONS = 50
+_SOLVED, _SOLVED_SOFTLY, _OUT_OF_ITERATIONS = 1, 2, -4
 _UNBOUNDED = 1e30
 
 
@@ -287,6 +299,10 @@ class Horizon:
     settles for a few steps and replaces the plan if the plan is not free or clearly longer.
     With one spare degree of freedom a survey sees every way within its reach; with more it sees
     a slice, each time another one. The order is fixed, and so is the result.
+
+    Attributes:
+        times: (N + 1,) of the nodes, from now [s].
+        cut_short: whether the last problem took more iterations than it may.
     """
 
     def __init__(
@@ -306,6 +322,7 @@ class Horizon:
         self._low, self._high = position_min, position_max
         self._stiffness = 1.0 / np.diff(times)
         self._moving_on: tuple[float, Array] | None = None
+        self.cut_short = False
         self.reset()
 
     @property
@@ -327,10 +344,8 @@ class Horizon:
         self._ticks, self._settled, self._surveys, self._troubled = 0, 0, 0, 0
         self._random = np.random.default_rng(0)
 
-    def advance(
-        self, q: Array, poses: Poses, maps: Whitening, dt: float, steps: int = 1,
-    ) -> Array | None:
-        """Move the plan on by `dt`, improve it, and return its velocity (n,) now.
+    def advance(self, q: Array, poses: Poses, maps: Whitening, dt: float) -> Array | None:
+        """Move the plan on by `dt`, take one step to improve it, and return its velocity (n,) now.
 
         None where the QP has no solution; the next tick then starts afresh.
 
@@ -339,16 +354,15 @@ class Horizon:
             poses: N, from `poses_ahead`.
             maps: the obstacles now, for links with their margin.
             dt: time since the last tick [s].
-            steps: to take, of some 0.3 ms each.
         """
+        self.cut_short = False
         if self._plan is not None:
             self._plan = self._moved_on(self._plan, q, dt)
         if self._found is not None:
             self._found = self._moved_on(self._found, q, dt)
         if self._survey is not None:
             self._survey.elapsed += dt
-        for _ in range(steps):
-            self._step(q, poses, maps)
+        self._step(q, poses, maps)
         return None if self._plan is None else (self._plan.nodes[0] - q) * self._stiffness[0]
 
     def _step(self, q: Array, poses: Poses, maps: Whitening) -> None:
@@ -382,7 +396,8 @@ class Horizon:
             self._plan = self._improved(plan, local)
             return
         self._survey = self._found = None
-        self._plan, self._troubled = self._improved(fresh, around), 0
+        # Having looked twice, it leaves the rest of the work to the next step.
+        self._plan, self._troubled = self._improved(fresh, around) if plan is None else fresh, 0
 
     def _look_around(self, q: Array, poses: Poses, maps: Whitening) -> None:
         """Take one step of a survey; at its end, the cheapest way that it has found."""
@@ -490,15 +505,19 @@ class Horizon:
         """Return the QP's solution about a plan; None where it has none."""
         constraints, high, low, sense = _constraints(
             tuple(local), self._low, self._high)
-        w, _, flag, _ = daqp.solve(local.hessian, local.linear, constraints, high, low, sense)
-        if flag not in (1, 2) or not np.isfinite(w).all():
+        w, _, flag, _ = daqp.solve(
+            local.hessian, local.linear, constraints, high, low, sense,
+            iter_limit=_MOST_ITERATIONS)
+        self.cut_short = flag == _OUT_OF_ITERATIONS
+        if flag not in (_SOLVED, _SOLVED_SOFTLY, _OUT_OF_ITERATIONS) or not np.isfinite(w).all():
             return None
+        w = np.minimum(np.maximum(w, -_TRUST), _TRUST)
         count, free, _ = local.directions.shape
         step = (w.reshape(count, 1, free) @ local.directions)[:, 0]
         return plan._replace(nodes=local.base + step)
 
 
-@compiled
+@kernel
 def _pose_error(
     poses: Poses, at: int, position: Vector, rotation: Matrix, rows: Indices, in_tool: bool,
 ) -> Array:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.compiled import compiled, Matrix, Vector
+from redundant_planner.core.compiled import compiled, kernel, Matrix, Vector
 from redundant_planner.core.null_space import Decomposition, manipulability
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +39,7 @@ def joint_limit_index(
     return value, gradient
 
 
-@compiled
+@kernel
 def fade(ratio: float) -> float:
     """Return 1 at 0 and below, 0 at 1 and beyond, with level tangents at both ends."""
     x = 1.0 - min(max(ratio, 0.0), 1.0)

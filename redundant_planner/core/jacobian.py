@@ -13,12 +13,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.compiled import compiled, Indices, Matrix, OutVector, Vector
+from redundant_planner.core.compiled import compiled, Indices, kernel, Matrix, OutVector, Vector
 
 Array = npt.NDArray[np.float64]
 
 
-@compiled
+@kernel
 def joint_shares(
     columns: Matrix, point: Vector, force: Vector, moves: Vector, shares: OutVector,
 ) -> None:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.compiled import compiled, Matrix, Vector
+from redundant_planner.core.compiled import compiled, kernel, Matrix, Vector
 
 Array = npt.NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Decomposition(NamedTuple):
     right: Matrix
 
 
-@compiled
+@kernel
 def _sorted(rows: Matrix, left: Matrix) -> Decomposition:
     """Return U, Σ and Vᵀ of U and Σ Vᵀ, by descending singular values."""
     m, n = rows.shape

@@ -25,6 +25,7 @@ import pinocchio as pin
 from redundant_planner.core.compiled import (
     compiled,
     Indices,
+    kernel,
     Matrix,
     OutMatrix,
     OutStack,
@@ -41,6 +42,12 @@ Number = TypeVar('Number', float, Array)
 # Quaternions further from unit length than this are a mistake, not round-off.
 _QUATERNION_TOLERANCE = 0.01
 _TINY = float(np.finfo(float).tiny)
+# Most pairs of links and obstacles that a tick takes gradients of, and most that enter the filter
+# as barriers: what bounds a tick's time in a crowd.
+MOST_PAIRS = 120
+MOST_ACTING = 60
+# Most pairs that enter the problem of the joint path ahead.
+MOST_AHEAD_PAIRS = 100
 
 
 @dataclass(frozen=True)
@@ -150,12 +157,27 @@ class Scene:
                 self.names, self.centers, self.semi_axes, self.rotations, self.velocities))
 
 
-@compiled
-def inflated_semi_axes(semi_axes: Matrix, radii: Matrix) -> Array:
-    """Return the semi-axes of the trace-minimal ellipsoids around ellipsoid ⊕ ball, (c, k, 3).
+@kernel
+def inflated_square(semi_axis: float, radius: float, trace: float) -> float:
+    """Return the squared semi-axis of the trace-minimal ellipsoid around ellipsoid ⊕ ball [m²].
 
     With A² = diag(a²): (1+β) A² + (1+1/β) r² I, β = √(3 r² / tr A²). Adding r to the semi-axes
     instead would not contain the sum.
+
+    Args:
+        semi_axis: a of the ellipsoid [m].
+        radius: r of the ball, 0 or more [m].
+        trace: tr A², the sum of the three squared semi-axes [m²].
+    """
+    r2 = radius * radius
+    # r² / β without the division, as β is 0 for a bare segment.
+    beta, beyond = math.sqrt(3.0 * r2 / trace), math.sqrt(r2 * trace / 3.0)
+    return (1.0 + beta) * (semi_axis * semi_axis) + r2 + beyond
+
+
+@compiled
+def inflated_semi_axes(semi_axes: Matrix, radii: Matrix) -> Array:
+    """Return the semi-axes of the trace-minimal ellipsoids around ellipsoid ⊕ ball, (c, k, 3).
 
     Args:
         semi_axes: (k, 3) [m].
@@ -164,14 +186,11 @@ def inflated_semi_axes(semi_axes: Matrix, radii: Matrix) -> Array:
     inflated = np.empty((*radii.shape, 3))
     for ball in range(len(radii)):
         for ellipsoid in range(len(semi_axes)):
-            r2 = radii[ball, ellipsoid] * radii[ball, ellipsoid]
             a, b, c = semi_axes[ellipsoid]
             trace = a * a + b * b + c * c
-            # r² / β without the division, as β is 0 for a bare segment.
-            beta, beyond = math.sqrt(3.0 * r2 / trace), math.sqrt(r2 * trace / 3.0)
             for axis in range(3):
-                square = semi_axes[ellipsoid, axis] * semi_axes[ellipsoid, axis]
-                inflated[ball, ellipsoid, axis] = math.sqrt((1.0 + beta) * square + r2 + beyond)
+                inflated[ball, ellipsoid, axis] = math.sqrt(inflated_square(
+                    semi_axes[ellipsoid, axis], radii[ball, ellipsoid], trace))
     return inflated
 
 
@@ -196,34 +215,38 @@ class Whitening(NamedTuple):
     speeds: Vector
 
 
-def whitening(scene: Scene, radii: npt.ArrayLike, lead: float = 0.0) -> Whitening:
+def whitening(
+    scene: Scene, radii: npt.ArrayLike, lead: float = 0.0, chosen: Indices | None = None,
+) -> Whitening:
     """Prepare a scene for links of the given radii (c,) [m].
 
     Obstacles that move are taken as larger all round by the way that they make within `lead` [s].
+    Of the scene's obstacles those with the indices `chosen` (k,) are taken, or all.
     """
+    every = np.arange(len(scene.names)) if chosen is None else chosen
     return _whitening(scene.centers, scene.rotations, scene.semi_axes, scene.velocities,
-                      np.array(radii, dtype=float), lead)
+                      np.array(radii, dtype=float), lead, every)
 
 
 @compiled
 def _whitening(
     centers: Matrix, rotations: Stack, semi_axes: Matrix, velocities: Matrix, radii: Vector,
-    lead: float,
+    lead: float, chosen: Indices,
 ) -> Whitening:
-    speeds = np.empty(len(centers))
-    for obstacle in range(len(centers)):
+    centers, rotations, velocities = centers[chosen], rotations[chosen], velocities[chosen]
+    speeds = np.empty(len(chosen))
+    for obstacle in range(len(chosen)):
         a, b, c = velocities[obstacle]
         speeds[obstacle] = math.sqrt(a * a + b * b + c * c)
-    inverse = inflated_semi_axes(semi_axes, radii[:, None] + lead * speeds)
+    inverse = inflated_semi_axes(semi_axes[chosen], radii[:, None] + lead * speeds)
     smallest = np.empty(inverse.shape[:2])
-    for obstacle in range(len(centers)):
+    for obstacle in range(len(chosen)):
         for link in range(len(radii)):
             a, b, c = inverse[link, obstacle]
             smallest[link, obstacle] = min(a, b, c)
             for axis in range(3):
                 inverse[link, obstacle, axis] = 1.0 / inverse[link, obstacle, axis]
-    return Whitening(
-        centers.copy(), rotations.copy(), inverse, smallest, velocities.copy(), speeds)
+    return Whitening(centers, rotations, inverse, smallest, velocities, speeds)
 
 
 class Pairs(NamedTuple):
@@ -358,7 +381,7 @@ def clearance_gradients(
     return gradient, rate
 
 
-@compiled
+@kernel
 def _clearance_gradient(
     maps: Whitening, link: int, obstacle: int, first: Vector, last: Vector, t: float,
     columns: Matrix, moves: Vector, time: float, gradient: OutVector,
@@ -407,6 +430,7 @@ class NearPairs(NamedTuple):
         gradient: (p, n) ∂ρ/∂q.
         rate: (p,) ∂ρ/∂t from the obstacles' own motion [1/s].
         acting: (a,) which of them have a barrier that could act in this tick.
+        unseen: (c,) no pair of a link that is left out is nearer than this [m].
         nearest_link, nearest_obstacle: the pair of smallest distance, −1 without obstacles,
         nearest_clearance, nearest_distance: and its ρ and distance [m].
     """
@@ -418,6 +442,7 @@ class NearPairs(NamedTuple):
     gradient: Matrix
     rate: Vector
     acting: Indices
+    unseen: Vector
     nearest_link: int
     nearest_obstacle: int
     nearest_clearance: float
@@ -427,9 +452,11 @@ class NearPairs(NamedTuple):
 @compiled
 def near_pairs(
     maps: Whitening, start: Matrix, end: Matrix, columns: Matrix, moves: Matrix,
-    speeds: Vector, rate: float, influence_distance: float,
+    speeds: Vector, rate: float, influence_distance: float, unseen: Vector,
 ) -> NearPairs:
     """Return the pairs that are within the influence distance, or whose barrier could act.
+
+    Of too many those that could act soonest: `MOST_PAIRS`, and `MOST_ACTING` of them as barriers.
 
     Args:
         maps: the obstacles.
@@ -437,35 +464,53 @@ def near_pairs(
         speeds: (c,) the fastest any point of a link may move in this tick [m/s].
         rate: share of a clearance that may be used up per second [1/s].
         influence_distance: [m].
+        unseen: (c,) how near to a link obstacles may be that are not in `maps` [m].
     """
     shape = maps.smallest.shape
     clearance, distance, parameter = np.empty(shape), np.empty(shape), np.empty(shape)
     _link_clearance(maps, start, end, 0.0, clearance, distance, parameter)
     links, obstacles = np.empty(distance.size, np.intp), np.empty(distance.size, np.intp)
-    acting = np.empty(distance.size, np.intp)
+    # How much too far a pair is for its barrier to act [m].
+    spare = np.empty(distance.size)
     count, acts, link_at, obstacle_at, least = 0, 0, -1, -1, np.inf
     for link in range(shape[0]):
         for obstacle in range(shape[1]):
             far = distance[link, obstacle]
             if far < least:
                 link_at, obstacle_at, least = link, obstacle, far
-            could_act = far <= (speeds[link] + maps.speeds[obstacle]) / rate
-            if could_act or far <= influence_distance:
-                links[count], obstacles[count] = link, obstacle
-                if could_act:
-                    acting[acts] = count
-                    acts += 1
+            inactive = far - (speeds[link] + maps.speeds[obstacle]) / rate
+            if inactive <= 0.0 or far <= influence_distance:
+                links[count], obstacles[count], spare[count] = link, obstacle, inactive
+                acts += inactive <= 0.0
                 count += 1
-    near, at = np.empty(count), np.empty(count)
-    gradient, rates = np.empty((count, columns.shape[1])), np.empty(count)
-    _clearance_gradients(maps, parameter, links[:count], obstacles[:count], start, end, columns,
-                         moves, gradient, rates)
+    widest, urgent = np.inf, np.inf
+    if count > MOST_PAIRS:
+        widest = np.partition(spare[:count], MOST_PAIRS)[MOST_PAIRS]
+    if acts > MOST_ACTING:
+        urgent = np.partition(spare[:count], MOST_ACTING)[MOST_ACTING]
+    unseen, kept = unseen.copy(), 0
+    acting = np.empty(min(acts, MOST_ACTING), np.intp)
+    acts = 0
     for i in range(count):
+        link, obstacle, inactive = links[i], obstacles[i], spare[i]
+        if inactive <= 0.0 and inactive < urgent:
+            acting[acts] = kept
+            acts += 1
+        elif inactive <= 0.0:
+            unseen[link] = min(unseen[link], distance[link, obstacle])
+        if inactive < widest:
+            links[kept], obstacles[kept] = link, obstacle
+            kept += 1
+    near, at = np.empty(kept), np.empty(kept)
+    gradient, rates = np.empty((kept, columns.shape[1])), np.empty(kept)
+    _clearance_gradients(maps, parameter, links[:kept], obstacles[:kept], start, end, columns,
+                         moves, gradient, rates)
+    for i in range(kept):
         near[i] = clearance[links[i], obstacles[i]]
         at[i] = distance[links[i], obstacles[i]]
     return NearPairs(
-        links[:count], obstacles[:count], near, at, gradient, rates, acting[:acts], link_at,
-        obstacle_at, clearance[link_at, obstacle_at] if link_at >= 0 else np.inf, least)
+        links[:kept], obstacles[:kept], near, at, gradient, rates, acting[:acts], unseen,
+        link_at, obstacle_at, clearance[link_at, obstacle_at] if link_at >= 0 else np.inf, least)
 
 
 class NearAlong(NamedTuple):
@@ -493,6 +538,8 @@ def near_pairs_along(
 ) -> NearAlong:
     """Return the pairs that are nearer than `within` [m] at postures reached at times (N,) [s].
 
+    Of more than `MOST_AHEAD_PAIRS` the nearest.
+
     Args:
         maps: the obstacles now.
         start, end: (N, c, 3) the segments [m].
@@ -511,6 +558,9 @@ def near_pairs_along(
             for obstacle in range(obstacles):
                 nearest = min(nearest, distance[at, link, obstacle])
                 found += distance[at, link, obstacle] < within
+    if found > MOST_AHEAD_PAIRS:
+        within = np.partition(distance.ravel(), MOST_AHEAD_PAIRS)[MOST_AHEAD_PAIRS]
+        found = int(np.sum(distance < within))
     near = NearAlong(np.empty(found, np.intp), np.empty(found), np.empty(found),
                      np.empty((found, columns.shape[2])), nearest)
     i = 0

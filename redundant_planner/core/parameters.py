@@ -178,9 +178,9 @@ class PlannerParameters:
                     'taken as held. Too long and it is planned for what will not be '
                     'commanded.')
     horizon_nodes: int = parameter(
-        12, low=2, high=200, runtime=True,
-        description='Postures that the joint path ahead has. Each costs computing time; too few '
-                    'and it cuts corners.')
+        12, low=2, high=32, runtime=True,
+        description='Postures that the joint path ahead has. Twice as many take a tick that plans '
+                    'four times as long; too few and it cuts corners.')
     joint_weights: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e6,
         description='Cost of moving each joint, one value per joint, empty for 1 everywhere. '

@@ -13,12 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core import drift, indices, null_space, safety
-from redundant_planner.core.broad_phase import FEW, Surroundings, surroundings
+from redundant_planner.core.broad_phase import everything, FEW, Surroundings, surroundings
 from redundant_planner.core.compiled import (
     compiled,
     Fields,
     IndexPairs,
     Indices,
+    kernel,
     Matrix,
     OutMatrix,
     OutVector,
@@ -61,8 +62,6 @@ _SINGULARITY_NEAR = 5.0
 _ABSURD = 1e100
 # A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
 _STANDSTILL = 1e-12
-# Steps of the horizon in the very first tick: two surveys, some 30 ms.
-_FIRST_STEPS = 100
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
 _FOUND_INSIDE = 1e-3
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
@@ -73,8 +72,12 @@ _SLIP = 0.005
 _TREND = 0.1
 # The joint path ahead is improved at most this often [s]: it takes a sixth of a millisecond.
 _PLANNING_PERIOD = 0.003
-# Among more obstacles than this it takes too long for dynamic_factor, which then does without.
+# Among more obstacles than this dynamic_factor does without it.
 _CROWD = 50
+# A tick in which evasion has looked at so many distances has no time to improve that path.
+_SEARCHING = 7500
+# A command smaller than this is none, as to how it grows [squared m/s, rad/s].
+_NO_SPEED = 1e-24
 # How soon dynamic_factor follows the joint path ahead once it has to, and how soon it stops [s],
 # down to which share while it might come of use again.
 _HANDING_OVER, _HANDING_BACK, _WATCHING = 0.1, 1.0, 1e-3
@@ -183,7 +186,7 @@ class _Barriers(NamedTuple):
         near_singular: whether the former is among them.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
         pairs: (a + k, 2) links and obstacles, then links and links, that the others are about.
-        outer: a, how many of these are about obstacles.
+        acting, outer: how many of these are about obstacles that are near, and about any.
     """
 
     gradient: Matrix
@@ -192,6 +195,7 @@ class _Barriers(NamedTuple):
     near_singular: bool
     intruded: bool
     pairs: IndexPairs
+    acting: int
     outer: int
 
 
@@ -205,6 +209,7 @@ class _Desired(NamedTuple):
         nearest_link, nearest_obstacle, nearest_clearance, nearest_distance: see `NearPairs`.
         admissible: whether `dq` breaks no limit and no barrier.
         blocked: whether the least-norm motion, gone on with, leads into something.
+        unseen_share: see there.
     """
 
     dq: Vector
@@ -221,6 +226,7 @@ class _Desired(NamedTuple):
     nearest_distance: float
     admissible: bool
     blocked: bool
+    unseen_share: float
 
 
 class StepResult(NamedTuple):
@@ -234,6 +240,8 @@ class StepResult(NamedTuple):
         scale: s, the share of the commanded twist that is followed.
         stage: how the safety filter came to `dq`.
         reason: one sentence: what slows or stops the arm; empty when nothing does.
+        fallback: which bound on a tick's work was reached, and what was done instead; empty if
+            none was. It is part of the reason.
         clearance_index: H_w over what is within the influence distance; infinite where nothing
             is.
         nearest: the nearest pair, None without obstacles; of many obstacles that are all further
@@ -250,6 +258,7 @@ class StepResult(NamedTuple):
     scale: float
     stage: safety.Stage
     reason: str
+    fallback: str
     clearance_index: float
     nearest: Nearest | None
     manipulability: float
@@ -272,7 +281,8 @@ class Planner:
             ParameterError: the parameters do not fit this robot.
         """
         self.robot = robot
-        self._maps_of: tuple[Scene, Whitening] | None = None
+        self._scene: Scene | None = None
+        self._fastest = 0.0  # of the scene's obstacles [m/s]
         self._radii = np.array([c.radius for c in robot.capsules])
         self._controlled = robot.full_twist(np.ones(robot.m))
         self.parameters = parameters
@@ -313,7 +323,6 @@ class Planner:
             for duration in (parameters.horizon, parameters.horizon_held))
         self._forget_path()
         self._evasion = Evasion(robot, parameters)
-        self._maps_of = None
         self._around: Surroundings | None = None
         # Of the last tick: where the arm was, and the tick's length.
         self._last: tuple[Kinematics, float] | None = None
@@ -350,13 +359,11 @@ class Planner:
 
     def prepare(self, scene: Scene) -> None:
         """Do what a scene new to `step` costs ahead of it, where there is time for that."""
-        if self._maps_of is None or self._maps_of[0] is not scene:
-            self._maps_of = scene, whitening(
-                scene, self._radii + self._parameters.clearance_margin,
-                self._parameters.obstacle_lead)
-            self._in_motion = bool(scene.velocities.any())
+        if scene is not self._scene:
+            squares = np.square(scene.velocities).sum(axis=1)
+            self._scene, self._fastest = scene, math.sqrt(squares.max(initial=0.0))
             if self._last is not None:
-                self._surroundings(*self._last)
+                self._surroundings(scene, *self._last)
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
@@ -378,38 +385,43 @@ class Planner:
         """
         robot, p = self.robot, self._parameters
         command, commanded = self._checked_command(twist, dt)
-        first = self._reference is None
         arm = robot.kinematics(q)
         pose = Pose(arm.tip_position, arm.tip_rotation)
         reference = pose if self._reference is None else self._reference
 
         # What there is to evade, and the way around it.
         self.prepare(scene)
-        names, maps = self._surroundings(arm, dt)
+        around = self._surroundings(scene, arm, dt)
+        maps = around.maps
         self._last = arm, dt
         turn = NO_TURN
-        if (self._in_motion and p.safety_filter and p.path_priority == 'yield'
+        if (self._fastest > 0.0 and p.safety_filter and p.path_priority == 'yield'
                 and p.evasion_horizon > 0.0):
-            turn = self._evasion.turn(arm, maps, self._previous, self._leaving, dt)
+            turn = self._evasion.turn(arm, around.ahead, self._previous, self._leaving, dt)
         else:
             self._evasion.reset()
         shortest, guided = None, 1.0 if p.method == 'variational' else self._guided
         if guided > 0.0:
-            shortest = self._shortest_path(arm, reference, command, ahead, maps, first, dt)
-        fallback = p.method == 'variational' and shortest is None
+            shortest = self._shortest_path(arm, reference, command, ahead, around.ahead, dt)
+        fallbacks = []
+        if p.method == 'variational' and shortest is None:
+            fallbacks.append('no joint path ahead was found: dynamic_factor steps in')
 
         # ẋ and J⁺ẋ + k P∇H: Eqs. 1, 2 and 18.
         by_joints = self._clearance_over_joints(arm, scene)
         desired = _Desired(*_desired(
             tuple(arm), *reference, command, tuple(maps), self._arm, self._settings,
-            self._previous, self._known_at, self._known, p.method == 'gradient_projection',
+            self._previous, around.q, around.range, self._known_at, self._known,
+            p.method == 'gradient_projection',
             *((0.0, self._previous) if shortest is None else (guided, shortest)),
             by_joints is not None, *(by_joints or (0.0, self._previous)),
             tuple(turn), dt))
 
         if p.method == 'dynamic_factor' and p.safety_filter:
-            self._hand_over(
-                (commanded or self._in_motion) and desired.blocked and len(names) <= _CROWD, dt)
+            blocked = (commanded or self._fastest > 0.0) and desired.blocked
+            if blocked and len(around.near) > _CROWD:
+                fallbacks.append(f'no joint path is planned among more than {_CROWD} obstacles')
+            self._hand_over(blocked and len(around.near) <= _CROWD, dt)
 
         dq, scale, stage, reason = desired.dq, 1.0, safety.Stage.DESIRED, ''
         task = _Task(*desired.task)
@@ -419,13 +431,17 @@ class Planner:
         elif not desired.admissible:
             result = self._filtered(desired, arm, dt)
             dq, scale, stage = result.dq, result.scale, result.stage
-            reason = self._reason(result, commanded, desired, names, dt)
+            reason = self._reason(result, commanded, desired, around, dt)
             # What was followed of the path; neither the way back to it nor what was yielded.
             followed = scale * task.wanted + result.coast * self._path_velocity
+            fallbacks += [f'out of iterations where {stage.value}' for stage in result.cut_short]
+            if desired.unseen_share < 1.0:
+                fallbacks.append(
+                    'slower among more obstacles than a tick takes in: '
+                    f'{desired.unseen_share:.0%} of the speed')
+        if self._horizon is not None and self._horizon.cut_short:
+            fallbacks.append('the joint path ahead was improved in part')
 
-        if fallback:
-            reason = '; '.join(filter(None, (
-                'no joint path ahead was found: dynamic_factor steps in', reason)))
         _take_along(task.position, task.rotation, followed, robot.rows, robot.in_tool, dt)
         self._reference = Pose(task.position, task.rotation)
         self._path_velocity = followed
@@ -433,7 +449,8 @@ class Planner:
         self._leaving = stage in (safety.Stage.YIELDING, safety.Stage.FORCED)
         return StepResult(
             dq.copy(), desired.least_norm, desired.homogeneous, desired.factor, scale, stage,
-            reason, desired.clearance_index, self._nearest(desired, names, maps),
+            '; '.join(filter(None, (*fallbacks, reason))), '; '.join(fallbacks),
+            desired.clearance_index, self._nearest(desired, around),
             desired.manipulability, pose, task.error)
 
     def _checked_command(self, twist: Array, dt: float) -> tuple[Array, bool]:
@@ -466,23 +483,20 @@ class Planner:
 
     def _shortest_path(
         self, arm: Kinematics, reference: Pose, command: Array, ahead: TwistAhead | None,
-        maps: Whitening, first: bool, dt: float,
+        maps: Whitening, dt: float,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
-
-        A profile that is known from the very first tick on, when the arm is at rest and nobody
-        waits for a command yet, is planned thoroughly.
 
         Args:
             arm, reference: where the arm is, and where its tip should be.
             command, ahead, dt: see `step`.
-            maps: what dynamic_factor goes around; variational knows all obstacles.
-            first: whether this is the very first tick.
+            maps: the nearest obstacles.
         """
-        if self.robot.n == self.robot.m:
+        if self.robot.n <= self.robot.m:
             return np.zeros(self.robot.n)
         self._planned += dt
-        if self._path is not None and self._planned < _PLANNING_PERIOD:
+        if self._path is not None and (
+                self._planned < _PLANNING_PERIOD or self._evasion.spent > _SEARCHING):
             return self._path
         elapsed, self._planned = self._planned, 0.0
         growth = self._growth_of(command, elapsed)
@@ -499,17 +513,13 @@ class Planner:
         task = _task(arm, reference, command, self._previous, _Arm(*self._arm), self._settings,
                      dt)
         poses = poses_ahead(Pose(task.position, task.rotation), twists, times, self.robot.in_tool)
-        steps = _FIRST_STEPS if first and ahead is not None else 1
-        if self._parameters.method == 'variational':
-            assert self._maps_of is not None
-            maps = self._maps_of[1]
-        self._path = horizon.advance(arm.q, poses, maps, elapsed, steps)
+        self._path = horizon.advance(arm.q, poses, maps, elapsed)
         return self._path
 
     def _growth_of(self, command: Array, dt: float) -> float:
         """Return the rate at which the command has been growing or fading lately [1/s]."""
         size = float(command @ command)
-        if size == 0.0 or not self._command.any():
+        if size < _NO_SPEED or not self._command.any():
             self._growth = 0.0
         else:
             rate = float((command - self._command) @ command) / (size * dt)
@@ -517,18 +527,21 @@ class Planner:
         self._command = command
         return self._growth
 
-    def _surroundings(self, arm: Kinematics, dt: float) -> tuple[tuple[str, ...], Whitening]:
-        """Return the names and maps, for links with the clearance margin, of what can matter."""
-        assert self._maps_of is not None
-        scene, maps = self._maps_of
+    def _surroundings(self, scene: Scene, arm: Kinematics, dt: float) -> Surroundings:
+        """Return the obstacles that can matter, for links with the clearance margin."""
+        around, p = self._around, self._parameters
+        if around is not None and around.scene is scene and around.complete:
+            return around
+        radii = self._radii + p.clearance_margin
         if len(scene.names) < FEW:
-            return scene.names, maps
-        reach = _reach(self._previous, maps.speeds, self._arm, self._settings, dt)
-        if self._around is None or not self._around.hold(
-                scene, arm.q, self.robot.levers, reach):
-            pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
-            self._around = surroundings(scene, maps, pairs, arm.q, reach)
-        return self._around.names, self._around.maps
+            self._around = everything(scene, radii, p.obstacle_lead, arm.q)
+            return self._around
+        reach = _reach(self._previous, self._fastest, self._arm, self._settings, dt)
+        if around is None or not around.hold(scene, arm.q, self.robot.levers, reach):
+            self._around = around = surroundings(
+                scene, radii, p.obstacle_lead, arm.segment_start, arm.segment_end, arm.q, reach,
+                p.evasion_horizon)
+        return around
 
     def _clearance_over_joints(
         self, arm: Kinematics, scene: Scene,
@@ -554,16 +567,21 @@ class Planner:
         """Return what comes nearest to a desired velocity that breaks a limit or a barrier."""
         p, task, found = self._parameters, _Task(*desired.task), _Barriers(*desired.barriers)
         drifts, reserves, spare = found.terms
+        limits = self._limits
+        if desired.unseen_share < 1.0:
+            limits = limits._replace(velocity_max=_slowed(
+                self._previous, limits.velocity_max, limits.acceleration_max,
+                desired.unseen_share, dt))
         return safety.safe_velocity(
             desired.dq, False, arm.jacobian, task.wanted + task.back, arm.q, self._previous,
-            self._limits, safety.Barriers(found.gradient, drifts, reserves, found.soft, spare),
+            limits, safety.Barriers(found.gradient, drifts, reserves, found.soft, spare),
             weights=self._weights, gain=p.barrier_gain,
             may_yield=found.intruded and p.path_priority == 'yield', dt=dt, feedback=task.back,
             turning=task.turning)
 
     def _reason(
         self, result: safety.Filtered, commanded: bool, desired: _Desired,
-        obstacles: tuple[str, ...], dt: float,
+        around: Surroundings, dt: float,
     ) -> str:
         """Say what holds the arm back; the drives' own way to speed up and stop does not count."""
         harmless = (safety.Stage.DESIRED, safety.Stage.SCALED, safety.Stage.BRAKING)
@@ -575,11 +593,11 @@ class Planner:
         if len(result.joints) and not at_limit and not len(result.pairs):  # speeding up
             return ''
         names = [f"joint '{self.robot.joint_names[i]}' at its limit" for i in at_limit]
-        names += [self._barrier_name(i, desired, obstacles) for i in result.pairs.tolist()]
+        names += [self._barrier_name(i, desired, around) for i in result.pairs.tolist()]
         return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
 
     def _barrier_name(
-        self, barrier: int, desired: _Desired, obstacles: tuple[str, ...],
+        self, barrier: int, desired: _Desired, around: Surroundings,
     ) -> str:
         """Name a barrier as a sentence's part."""
         found, capsules = _Barriers(*desired.barriers), self.robot.capsules
@@ -589,18 +607,19 @@ class Planner:
             return 'null-space motion that could not stop without leaving the path'
         link, other = found.pairs[barrier].tolist()
         if barrier < found.outer:
-            return f"link '{capsules[link].name}' near obstacle '{obstacles[other]}'"
+            index = around.near if barrier < found.acting else around.nearest
+            obstacle = around.scene.names[index[other]]
+            return f"link '{capsules[link].name}' near obstacle '{obstacle}'"
         return f"link '{capsules[link].name}' near link '{capsules[other].name}'"
 
-    def _nearest(
-        self, desired: _Desired, obstacles: tuple[str, ...], maps: Whitening,
-    ) -> Nearest | None:
+    def _nearest(self, desired: _Desired, around: Surroundings) -> Nearest | None:
         if desired.nearest_link < 0:
             return None
         obstacle = desired.nearest_obstacle
-        lead = self._parameters.obstacle_lead * float(maps.speeds[obstacle])
+        lead = self._parameters.obstacle_lead * float(around.maps.speeds[obstacle])
         return Nearest(
-            self.robot.capsules[desired.nearest_link].name, obstacles[obstacle],
+            self.robot.capsules[desired.nearest_link].name,
+            around.scene.names[around.near[obstacle]],
             pseudo_distance(desired.nearest_clearance), desired.nearest_distance + lead)
 
 
@@ -663,7 +682,7 @@ def _take_along(
     position[:], rotation[:] = pose
 
 
-@compiled
+@kernel
 def _pace(
     previous: Vector, constants: Fields[_Arm], settings: Fields[_Settings], dt: float,
 ) -> tuple[Array, Array, float]:
@@ -688,14 +707,69 @@ def _pace(
 
 @compiled
 def _reach(
-    previous: Vector, obstacle_speeds: Vector, constants: Fields[_Arm],
-    settings: Fields[_Settings], dt: float,
+    previous: Vector, fastest: float, constants: Fields[_Arm], settings: Fields[_Settings],
+    dt: float,
 ) -> Array:
-    """Return how near an obstacle must be to each link to matter in this tick, (c,) [m]."""
+    """Return how near an obstacle must be to each link to matter in this tick, (c,) [m].
+
+    Args:
+        previous, constants, settings, dt: as for `_pace`.
+        fastest: speed of the fastest obstacle [m/s].
+    """
     _, speeds, rate = _pace(previous, constants, settings, dt)
-    p, fastest = _Settings(*settings), obstacle_speeds.max()
+    p = _Settings(*settings)
     least = max(p.influence_distance, p.evasion_horizon * fastest)
     return np.maximum((speeds + fastest) / rate, least)
+
+
+@kernel
+def _unseen(
+    q: Vector, levers: Matrix, range_at: Vector, ranges: Vector,
+) -> Array:
+    """Return how near to a link an obstacle may be that is not looked at, (c,) [m].
+
+    Args:
+        q: (n,) the posture.
+        levers: (c, n) of the links.
+        range_at, ranges: where and what the surroundings' range is, see `Surroundings`.
+    """
+    unseen = ranges.copy()
+    for link in range(len(unseen)):
+        for j in range(len(q)):
+            unseen[link] -= levers[link, j] * abs(q[j] - range_at[j])
+    return unseen
+
+
+@kernel
+def _unseen_share(unseen: Vector, speeds: Vector, rate: float) -> float:
+    """Return the share of the fastest motion that keeps clear of what is not looked at.
+
+    A link that moves no faster than `rate` times its distance from it keeps its barrier.
+
+    Args:
+        unseen: (c,) how near such an obstacle may be to a link [m].
+        speeds, rate: from `_pace`.
+    """
+    share = 1.0
+    for link in range(len(speeds)):
+        if rate * unseen[link] < speeds[link]:
+            share = min(share, max(rate * unseen[link], 0.0) / speeds[link])
+    return share
+
+
+@compiled
+def _slowed(
+    previous: Vector, velocity_max: Vector, acceleration_max: Vector, share: float, dt: float,
+) -> Array:
+    """Return limits (n,) of the velocity that keep to a share of the fastest motion.
+
+    But not below what proportional braking can reach.
+    """
+    limits, still = np.empty(len(previous)), safety.braked(previous, acceleration_max, dt)
+    for j in range(len(limits)):
+        fastest = min(abs(previous[j]) + acceleration_max[j] * dt, velocity_max[j])
+        limits[j] = max(share * fastest, abs(still[j]))
+    return limits
 
 
 @compiled
@@ -723,7 +797,7 @@ def _fastest_sway(arm: Kinematics, sway: Vector, constants: _Arm) -> float:
     return math.sqrt(np.sum(sway * sway)) / aside ** 0.25
 
 
-@compiled
+@kernel
 def _blocked(
     near: NearPairs, q: Vector, motion: Vector, positions: Matrix, look_ahead: float,
 ) -> bool:
@@ -745,7 +819,7 @@ def _blocked(
     return False
 
 
-@compiled
+@kernel
 def _total_gradient(
     arm: Kinematics, clearance: Vector, parts: Decomposition, gains: Vector, least_norm: Vector,
     twist: Vector, constants: _Arm, p: _Settings,
@@ -773,7 +847,7 @@ def _total_gradient(
         clearance, joint_limit, shortest_path, manipulability, p.k_w, p.k_s, p.k_f, p.k_m)
 
 
-@compiled
+@kernel
 def _barriers(
     arm: Kinematics, parts: Decomposition, near: NearPairs, own: NearLinks, turn: Turn,
     previous: Vector, constants: _Arm, maps: Whitening, p: _Settings, dt: float,
@@ -827,16 +901,16 @@ def _barriers(
         slower = 1.0 - dt / max(safety.stopping_time(previous, constants.acceleration_max), dt)
         gradient[-1] = -sway / speed
         drifts[-1] = max(fastest_sway, slower * np.sum(sway * previous) / speed)
-    return _Barriers(gradient, terms, soft, near_singular, intruded, pairs, outer)
+    return _Barriers(gradient, terms, soft, near_singular, intruded, pairs, acting, outer)
 
 
 @compiled
 def _desired(
     arm: Fields[Kinematics], position: Vector, rotation: Matrix, command: Vector,
     maps: Fields[Whitening], constants: Fields[_Arm], settings: Fields[_Settings],
-    previous: Vector, known_at: OutVector, known: OutVector, fixed_gain: bool, guided: float,
-    path: Vector, by_joints: bool, joint_clearance_index: float, joint_clearance: Vector,
-    turn: Fields[Turn], dt: float,
+    previous: Vector, range_at: Vector, ranges: Vector, known_at: OutVector, known: OutVector,
+    fixed_gain: bool, guided: float, path: Vector, by_joints: bool,
+    joint_clearance_index: float, joint_clearance: Vector, turn: Fields[Turn], dt: float,
 ) -> Fields[_Desired]:
     """Return J⁺ẋ + k P∇H, and the barriers around it.
 
@@ -845,6 +919,7 @@ def _desired(
         position, rotation: of the reference pose.
         command: (6,) the twist [m/s, rad/s].
         previous: (n,) velocity of the last tick.
+        range_at, ranges: see `_unseen`.
         known_at, known: see `near_links`.
         fixed_gain: whether k is k_fixed instead of Eq. 2's.
         guided, path: the share of the homogeneous solution that is the null-space part of a
@@ -872,7 +947,8 @@ def _desired(
     fastest, speeds, rate = _pace(previous, plain, settings, dt)
     near = near_pairs(
         maps, arm.segment_start, arm.segment_end, arm.columns, constants.moves, speeds, rate,
-        p.influence_distance)
+        p.influence_distance, _unseen(arm.q, constants.levers, range_at, ranges))
+    unseen_share = _unseen_share(near.unseen, speeds, rate)
     own = near_links(
         arm.q, arm.segment_start, arm.segment_end, arm.columns, constants.radii,
         constants.self_pairs, constants.self_moves, constants.self_levers, fastest, rate,
@@ -899,7 +975,7 @@ def _desired(
 
     barriers = _barriers(arm, parts, near, own, Turn(*turn), previous, constants, maps, p, dt)
     smallest = parts.singular_values[-1]
-    admissible = smallest >= p.damping_threshold and safety.admissible(
+    admissible = unseen_share == 1.0 and smallest >= p.damping_threshold and safety.admissible(
         dq, arm.q, previous, constants.positions, constants.velocity_max,
         constants.acceleration_max, constants.position_margin, barriers.gradient,
         barriers.terms[0], barriers.terms[1], p.barrier_gain, dt)
@@ -908,7 +984,7 @@ def _desired(
         dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts),
         barriers[:], task[:], near.nearest_link, near.nearest_obstacle, near.nearest_clearance,
         near.nearest_distance, admissible,
-        _blocked(near, arm.q, least_norm, constants.positions, p.look_ahead))[:]
+        _blocked(near, arm.q, least_norm, constants.positions, p.look_ahead), unseen_share)[:]
 
 
 @compiled

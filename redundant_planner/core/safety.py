@@ -58,6 +58,9 @@ _UNBOUNDED = 1e30
 # Multipliers below this are round-off, not a constraint that acts.
 _ACTIVE = 1e-9
 _TOLERANCE = 1e-9
+# Iterations that a stage may take: ten times what hard scenes need. Then the next stage is tried.
+_MOST_ITERATIONS = 150
+_SOLVED, _OUT_OF_ITERATIONS = 1, -4
 _EQUALITY = 5
 # Reserve on the stopping distance for gradients that turn while the arm brakes.
 _CURVATURE_RESERVE = 1.25
@@ -119,6 +122,7 @@ class Filtered(NamedTuple):
         stage: which problem it comes from.
         joints: indices of the joints whose bound acts.
         pairs: indices of the barriers that act.
+        cut_short: stages before it whose problem took more iterations than it may.
     """
 
     dq: Array
@@ -127,6 +131,7 @@ class Filtered(NamedTuple):
     stage: Stage
     joints: Found
     pairs: Found
+    cut_short: tuple[Stage, ...] = ()
 
 
 _NONE = np.empty(0, dtype=np.intp)
@@ -287,6 +292,7 @@ def safe_velocity(
             not given: J q̇ is that much less than what the tip shall do, at any speed.
     """
     turning = np.zeros(len(twist)) if turning is None else turning
+    cut_short: list[Stage] = []
     gradient = barriers.gradient
     a = limits.acceleration_max
     stop = stopping_time(previous, a)
@@ -296,7 +302,7 @@ def safe_velocity(
         if exact and admissible(desired, q, previous, *limits, *barriers[:3], gain, dt):
             return Filtered(desired, 1.0, 0.0, Stage.DESIRED, _NONE, _NONE)
         found = _solve(Stage.SCALED, desired, jacobian, twist, turning, None, lower, upper,
-                       gradient, bounds, weights)
+                       gradient, bounds, weights, cut_short)
         if found is not None:
             return found
 
@@ -309,7 +315,7 @@ def safe_velocity(
                  np.maximum(np.minimum(high, a * shorter), low))
     bounds = barrier_bounds(barriers, gain, shorter, dt)
     found = _solve(Stage.BRAKING, desired, jacobian, twist, turning, coasting, low, high,
-                   gradient, bounds, weights, share=share)
+                   gradient, bounds, weights, cut_short, share=share)
     if found is not None:
         return found
     # Where nothing but proportional braking is left, the solver may miss it by round-off.
@@ -317,7 +323,7 @@ def safe_velocity(
     if bool((braked >= low - _TOLERANCE).all() and (braked <= high + _TOLERANCE).all()
             and (gradient @ braked >= bounds - _TOLERANCE).all()):
         return Filtered(np.minimum(np.maximum(braked, low), high), 0.0, share, Stage.BRAKING,
-                        _NONE, _NONE)
+                        _NONE, _NONE, tuple(cut_short))
     if not kept:
         # Speeding up would cost an acceleration limit later: brake, whatever else gives way.
         lower, upper = low, high
@@ -325,26 +331,31 @@ def safe_velocity(
     gradient, bounds = gradient[:urgent], barrier_bounds(barriers, gain, stop + dt, dt)[:urgent]
     if may_yield:
         found = _solve(Stage.YIELDING, desired, jacobian, twist, turning, coasting, lower, upper,
-                       gradient, bounds, weights, share=share, path_gives_way=True)
+                       gradient, bounds, weights, cut_short, share=share,
+                       path_gives_way=True)
         if found is not None:
             return found
     back = np.zeros(len(twist)) if feedback is None else feedback
     spare = np.zeros(urgent) if barriers.spare is None else (
         barrier_rate(gain, stop + dt, dt) * barriers.spare[:urgent])
     found = _solve(Stage.FORCED, desired, jacobian, back, turning, coasting, lower, upper,
-                   gradient, bounds, weights, share=share, path_gives_way=may_yield, spare=spare)
+                   gradient, bounds, weights, cut_short, share=share, path_gives_way=may_yield,
+                   spare=spare)
     if found is not None:
         return found._replace(scale=0.0)
     still = np.minimum(np.maximum(0.0, lower), upper)
-    return Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE)
+    return Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE, tuple(cut_short))
 
 
 def _solve(
     stage: Stage, desired: Array, jacobian: Array, twist: Array, turning: Array,
     coasting: Array | None, lower: Array, upper: Array, gradient: Array, bounds: Array,
-    weights: Array, *, share: float = 0.0, path_gives_way: bool = False, spare: Array = _NO_SPARE,
+    weights: Array, cut_short: list[Stage], *, share: float = 0.0, path_gives_way: bool = False,
+    spare: Array = _NO_SPARE,
 ) -> Filtered | None:
-    """Set up and solve one stage; None where it has no solution.
+    """Set up and solve one stage; None where it has no solution, or none within its iterations.
+
+    The latter is noted in `cut_short`.
 
     Variables are (q̇, s), then r where the twist may coast, then the barriers' slacks where they
     are allowed: first all that are `spare` (p,) at most, then all that are dearer. A path
@@ -356,12 +367,15 @@ def _solve(
         desired, jacobian, twist, turning, twist if coasting is None else coasting, lower, upper,
         gradient, bounds, spare, weights, coasting is not None, slack, path_gives_way)
     x, _, flag, info = daqp.solve(
-        hessian, linear, constraints, high, low, sense, primal_tol=_TOLERANCE)
+        hessian, linear, constraints, high, low, sense, primal_tol=_TOLERANCE,
+        iter_limit=_MOST_ITERATIONS)
     solved, dq, scale, coast, joints, pairs = _solution(x, info['lam'], lower, upper, len(bounds))
-    if flag != 1 or not solved:
+    if flag == _OUT_OF_ITERATIONS:
+        cut_short.append(stage)
+    if flag != _SOLVED or not solved:
         return None
     return Filtered(dq, scale, share * coast if coasting is not None else 0.0, stage, joints,
-                    pairs)
+                    pairs, tuple(cut_short))
 
 
 @compiled

@@ -12,6 +12,7 @@ from redundant_planner.core.compiled import (
     compiled,
     IndexPairs,
     Indices,
+    kernel,
     Matrix,
     OutStack,
     OutVector,
@@ -50,12 +51,12 @@ def link_distances(start: Array, end: Array, radii: Array, links: Indices) -> Li
     return pairs
 
 
-@compiled
+@kernel
 def _clipped(value: float) -> float:
     return min(max(value, 0.0), 1.0)
 
 
-@compiled
+@kernel
 def nearest_parameters(a: float, b: float, c: float, e: float, f: float) -> tuple[float, float]:
     """Return where two segments are nearest to each other: 0 at a start, 1 at an end.
 
@@ -122,7 +123,7 @@ def distance_gradients(
     return gradient
 
 
-@compiled
+@kernel
 def _along(levers: Vector, motion: Vector) -> float:
     total = 0.0
     for j in range(len(motion)):
@@ -144,7 +145,7 @@ class NearLinks(NamedTuple):
     gradient: Matrix
 
 
-@compiled
+@kernel
 def near_links(
     q: Vector, start: Matrix, end: Matrix, columns: Matrix, radii: Vector, links: IndexPairs,
     moves: Matrix, levers: Matrix, fastest: Vector, rate: float, known_at: OutVector,

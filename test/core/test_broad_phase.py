@@ -15,6 +15,7 @@ from redundant_planner.core.planner import Planner
 
 PANDA = make_panda()
 RADII = np.array([capsule.radius for capsule in PANDA.capsules])
+LEAD, COURSE = 0.1, 2.0
 
 
 def cloud(count, seed, extent=1.5, speed=0.0):
@@ -29,22 +30,53 @@ def cloud(count, seed, extent=1.5, speed=0.0):
 def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach):
     """Against all distances, at postures that random motion leads to."""
     random = np.random.default_rng(seed)
-    scene = cloud(60, seed)
-    maps = whitening(scene, RADII)
+    scene = cloud(60, seed, speed=0.2)
+    maps = whitening(scene, RADII, LEAD)
     (q,) = random_postures(PANDA, 1, seed)
     arm = PANDA.kinematics(q)
     limit = np.full(len(RADII), reach) * random.uniform(0.5, 1.0, len(RADII))
     around = surroundings(
-        scene, maps, link_clearance(maps, arm.segment_start, arm.segment_end), q, limit)
+        scene, RADII, LEAD, arm.segment_start, arm.segment_end, q, limit, COURSE)
     assert around.hold(scene, q, PANDA.levers, limit)
-    left_out = np.array([name not in around.names for name in scene.names])
+    left_out = ~np.isin(np.arange(60), around.near)
     for _ in range(20):
         q = q + step * random.normal(size=7) * 0.1
         arm = PANDA.kinematics(q)
         pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
         if around.hold(scene, q, PANDA.levers, limit):
             assert (pairs.distance[:, left_out] > limit[:, None] - 1e-9).all()
-    assert not around.hold(cloud(60, seed), q, PANDA.levers, limit)
+    assert not around.hold(cloud(60, seed, speed=0.2), q, PANDA.levers, limit)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 10**6), st.integers(1, 40), st.floats(0.0, 3.0))
+def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed, most, reach):
+    scene = cloud(60, seed, speed=0.2)
+    (q,) = random_postures(PANDA, 1, seed)
+    arm = PANDA.kinematics(q)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(broad_phase, 'MOST_NEAR', most)
+        patch.setattr(broad_phase, 'MOST_AHEAD', most)
+        around = surroundings(scene, RADII, LEAD, arm.segment_start, arm.segment_end, q,
+                              np.full(len(RADII), reach), COURSE)
+    assert 1 <= len(around.near) <= most and len(around.nearest) == most
+    distance = link_clearance(
+        whitening(scene, RADII, LEAD), arm.segment_start, arm.segment_end).distance
+    left_out = ~np.isin(np.arange(60), around.near)
+    assert (distance[:, left_out] > around.range[:, None] - 1e-9).all()
+    assert around.crowded or not left_out.any() or (distance[:, left_out] > reach).all()
+    np.testing.assert_array_equal(around.maps.centers, scene.centers[around.near])
+    np.testing.assert_array_equal(around.ahead.centers, scene.centers[around.nearest])
+    # Round ones are exactly in the order of their distance.
+    balls = Scene.of(Obstacle(o.name, o.center, np.full(3, o.semi_axes[0]))
+                     for o in scene.obstacles())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(broad_phase, 'MOST_AHEAD', most)
+        nearest = surroundings(balls, RADII, LEAD, arm.segment_start, arm.segment_end, q,
+                               np.full(len(RADII), reach), COURSE).nearest
+    least = link_clearance(
+        whitening(balls, RADII, LEAD), arm.segment_start, arm.segment_end).distance.min(axis=0)
+    assert least[nearest].max() <= np.delete(least, nearest).min() + 1e-9
 
 
 @pytest.mark.parametrize('speed', [0.0, 0.2])
@@ -52,8 +84,11 @@ def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach)
 def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch):
     """A hall full of obstacles, some on the way; tick by tick to round-off.
 
-    Without looking ahead, which dynamic_factor does among few obstacles only.
+    Without looking ahead, which dynamic_factor does among few obstacles only, and without bounds
+    on how many a tick takes in.
     """
+    monkeypatch.setattr(broad_phase, 'MOST_NEAR', 10**9)
+    monkeypatch.setattr(broad_phase, 'MOST_AHEAD', 10**9)
     robot = make()
     random = np.random.default_rng(1)
     start = random_postures(robot, 1, 5)[0]

@@ -101,15 +101,28 @@ def test_the_first_turn_that_keeps_clear_is_chosen_else_the_least_short_one(robo
         expected = np.array([shortage_of(robot, joints, q, velocities, maps, turn, 0.005)
                              for turn in turns])
         arguments = (tuple(arm), tuple(maps), tuple(joints), velocities)
+        enough = 10**9
         for turn, shortage in zip(turns, expected):
-            assert evasion._best(*arguments, turn[None], HORIZON, 0.005, np.inf)[1] == (
+            assert evasion._best(*arguments, turn[None], HORIZON, 0.005, np.inf, enough)[1] == (
                 pytest.approx(shortage, abs=1e-12))
-        at, shortage = evasion._best(*arguments, turns, HORIZON, 0.005, np.inf)
+        at, shortage, done, spent = evasion._best(
+            *arguments, turns, HORIZON, 0.005, np.inf, enough)
         assert at == int(np.argmin(expected)) and shortage == pytest.approx(
             expected.min(), abs=1e-12)
         clear += shortage == 0.0
         worst = float(expected.min())
-        assert worst == 0.0 or evasion._best(*arguments, turns, HORIZON, 0.005, worst)[0] == -1
+        assert worst == 0.0 or evasion._best(
+            *arguments, turns, HORIZON, 0.005, worst, enough)[0] == -1
+        # In several ticks, a few turns each, it comes to the same.
+        assert done == len(turns)
+        best, begin, rounds = (-1, np.inf), 0, 0
+        while begin < len(turns) and best[1] > 0.0:
+            found, least, done, some = evasion._best(
+                *arguments, turns[begin:], HORIZON, 0.005, best[1], spent // 4)
+            best = (begin + found, least) if found >= 0 else best
+            begin, rounds = begin + done, rounds + 1
+            assert some <= spent
+        assert best[0] == at and (rounds > 1 or clear)
     assert clear > 0
 
 

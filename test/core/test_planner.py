@@ -212,8 +212,8 @@ def test_in_a_crowd_nothing_is_planned(panda):
 
 def test_at_a_high_rate_not_every_tick_plans(panda, monkeypatch):
     planned, advance = [], Horizon.advance
-    monkeypatch.setattr(Horizon, 'advance', lambda self, q, poses, maps, dt, steps: (
-        planned.append(dt) or advance(self, q, poses, maps, dt, steps)))
+    monkeypatch.setattr(Horizon, 'advance', lambda self, q, poses, maps, dt: (
+        planned.append(dt) or advance(self, q, poses, maps, dt)))
     twist = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
     postures = {}
     for dt, expected in ((0.004, 0.004), (0.001, 0.003)):
