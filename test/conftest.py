@@ -7,9 +7,11 @@ from multiprocessing import get_context
 from pathlib import Path
 import signal
 import sysconfig
+import time
 
 import numpy as np
 import pytest
+from standstill import Standstill
 
 from redundant_planner.core.robot import AXES, Robot
 from redundant_planner.resources import share_directory
@@ -67,6 +69,23 @@ MAKERS = {
 
 
 PASSED = pytest.StashKey[bool]()
+# A standstill of the machine that a live test may fail of: commands and states may be as far apart
+# as this before the arm stops by itself [s].
+_STANDSTILL = 0.09
+_MACHINE = pytest.StashKey[Standstill]()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Watch the machine from the first live test on, for `live_helpers.LIVE`."""
+    if item.get_closest_marker('flaky') is None:
+        return
+    config, begin = item.config, time.time()
+    if _MACHINE not in config.stash:
+        machine = config.stash[_MACHINE] = Standstill().__enter__()
+        config.add_cleanup(lambda: machine.__exit__(None, None, None))
+    config.stood_still = (
+        lambda: config.stash[_MACHINE].longest(begin, time.time()) > _STANDSTILL)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -76,6 +95,12 @@ def pytest_runtest_makereport(item, call):
     if call.when == 'call':
         item.stash[PASSED] = report.passed
     return report
+
+
+@pytest.fixture
+def machine(request) -> Standstill:
+    """What tells a live test when the machine stood still."""
+    return request.config.stash[_MACHINE]
 
 
 @pytest.fixture(params=MAKERS)
@@ -112,9 +137,7 @@ def central_difference(function, q: np.ndarray, step: float = 1e-6) -> np.ndarra
                      / (2.0 * step) for e in np.eye(len(q))], axis=-1)
 
 
-# ROS domains and what a live run may lack of messages: less than the command's timeout [s].
 PAPER_DOMAINS = range(91, 93)
-_STANDSTILL = 0.09
 
 
 @pytest.fixture(scope='session')
