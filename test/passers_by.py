@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from multiprocessing import get_context
 import os
 import signal
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
+from forked_nodes import FORKS
 import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-# Forked from a server that has imported everything: starting an interpreter for each would be
-# the load that is measured.
-_PROCESSES = get_context('forkserver')
-_PROCESSES.set_forkserver_preload([__name__])
 # What the package chooses for its own processes is not for these.
 _CHOSEN = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE',
            'FASTDDS_BUILTIN_TRANSPORTS')
@@ -26,9 +22,9 @@ class PasserBy:
 
     def __init__(self, domain_id: int, discovery_range: str, hangs_after: float = float('inf')):
         """Start it; its process stops so many seconds after it has joined."""
-        self._leave = _PROCESSES.Event()
-        self._heard = _PROCESSES.Value('i', 0)
-        self._process = _PROCESSES.Process(target=_live, daemon=True, args=(
+        self._leave = FORKS.Event()
+        self._heard = FORKS.Value('i', 0)
+        self._process = FORKS.Process(target=_live, daemon=True, args=(
             domain_id, discovery_range, hangs_after, self._leave, self._heard))
         self._process.start()
 

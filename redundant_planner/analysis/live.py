@@ -44,8 +44,8 @@ _TOPICS = {
 }
 _LATCHED = ('robot_description', 'planner_node/configuration', 'planner_node/ticks')
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
-# How long processes get to start, and to end [s].
-_START_PATIENCE = 30.0
+# How long processes get to start, on a busy machine too, and to end [s].
+_START_PATIENCE = 120.0
 _END_PATIENCE = 3.0
 
 
@@ -103,13 +103,8 @@ class Processes:
             remap: names to remap.
             name: what to call it where several of the same kind run.
         """
-        command = [sys.executable, '-m', f'redundant_planner.nodes.{node}', '--ros-args']
-        for file in files:
-            command += ['--params-file', str(file)]
-        for key, value in (values or {}).items():
-            command += ['-p', f'{key}:={_yaml(value)}']
-        for key, target in (remap or {}).items():
-            command += ['-r', f'{key}:={target}']
+        command = [sys.executable, '-m', f'redundant_planner.nodes.{node}',
+                   *ros_arguments(files, values, remap)]
         # A session of its own, so that Ctrl-C reaches us alone and the end is in our order;
         # and a death signal, so that nothing stays behind even if we are killed.
         child = subprocess.Popen(command, env=self.environment, start_new_session=True,
@@ -122,6 +117,21 @@ class Processes:
         for node, child in self._children.items():
             if child.poll() not in (None, 0):
                 raise LiveError(f'{node} ended with exit status {child.returncode}')
+
+
+def ros_arguments(
+    files: Sequence[Path] = (), values: Mapping[str, object] | None = None,
+    remap: Mapping[str, str] | None = None,
+) -> list[str]:
+    """Return a node's command line after its executable; arguments as in `Processes.start`."""
+    arguments = ['--ros-args']
+    for file in files:
+        arguments += ['--params-file', str(file)]
+    for key, value in (values or {}).items():
+        arguments += ['-p', f'{key}:={_yaml(value)}']
+    for key, target in (remap or {}).items():
+        arguments += ['-r', f'{key}:={target}']
+    return arguments
 
 
 def _yaml(value: object) -> str:

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 import yaml
 
 from redundant_planner.analysis.demo import summarise
+from redundant_planner.analysis.live import Processes
 from redundant_planner.analysis.recording import read_recording
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.nodes.messages import markers_of
@@ -187,7 +188,8 @@ def test_an_arm_that_restarts_elsewhere_is_not_pulled_back():
 
 
 def test_an_interrupt_in_motion_ends_in_a_stop_and_a_clean_exit():
-    with station() as (ros, processes):
+    # Not forked: how an interpreter of its own ends is in question.
+    with station(Processes) as (ros, processes):
         processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
         planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
         ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
