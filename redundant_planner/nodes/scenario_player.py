@@ -46,6 +46,10 @@ class PlayerParameters:
         1.0, low=0.0, high=60.0, unit='s',
         description='How long the twist stays zero before the motion, while the middleware gets '
                     'used to the new node, and after it.')
+    thread_priority: int = parameter(
+        40, low=0, high=98,
+        description='Real-time priority (SCHED_FIFO), where the system grants it; 0 for none. '
+                    'Without it a busy machine interrupts cmd_vel, and so the arm.')
 
     def __post_init__(self) -> None:
         """Check every value."""
@@ -77,6 +81,7 @@ class ScenarioPlayer(process.EndableNode):
         self._twist = self.create_publisher(Twist, 'cmd_vel', 10)
         self._obstacles = self.create_publisher(MarkerArray, 'obstacles', 10)
         self.create_subscription(JointState, 'joint_command', self._on_joint_command, 10)
+        process.request_priority(settings.thread_priority)
         self.create_timer(1.0 / settings.rate, self._tick,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
