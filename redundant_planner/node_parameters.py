@@ -97,6 +97,10 @@ class FakeHardwareParameters:
     noise: float = parameter(
         0.0, low=0.0, high=0.1, unit='rad, m',
         description='Standard deviation of the noise on published positions.')
+    thread_priority: int = parameter(
+        40, low=0, high=98,
+        description='Real-time priority (SCHED_FIFO), where the system grants it; 0 for none. '
+                    'Without it a busy machine interrupts joint_states, as no real arm would.')
 
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""
@@ -132,6 +136,10 @@ class PlayerParameters:
         1.0, low=0.0, high=60.0, unit='s',
         description='How long the twist stays zero before the motion, while the middleware gets '
                     'used to the new node, and after it.')
+    thread_priority: int = parameter(
+        40, low=0, high=98,
+        description='Real-time priority (SCHED_FIFO), where the system grants it; 0 for none. '
+                    'Without it a busy machine interrupts cmd_vel, and so the arm.')
 
     def __post_init__(self) -> None:
         """Check every value."""

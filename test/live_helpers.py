@@ -5,12 +5,13 @@ from __future__ import annotations
 from contextlib import contextmanager
 import itertools
 import os
-import subprocess
-import sys
+from pathlib import Path
+import tempfile
 import time
 
 from conftest import PAPER_DOMAINS
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from forked_nodes import Forked, ForkedProcesses
 from geometry_msgs.msg import Twist
 import numpy as np
 import pytest
@@ -20,18 +21,17 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from redundant_planner.analysis.live import Processes
 from redundant_planner.nodes.messages import twist_to_message
 from redundant_planner.nodes.process import best_executor, keep_off_shared_memory
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 keep_off_shared_memory()
-# A shared machine may stop some process for half a second at the worst moment. A test of live
-# processes is given two more tries; the summary lists them, and a defect fails all three.
-LIVE = pytest.mark.flaky(reruns=2, reruns_delay=1)
+# A test of live processes that fails is tried again, twice at most, if the machine stood still
+# meanwhile, as conftest.py measures; the summary lists it. A failure of our own making counts.
+LIVE = pytest.mark.flaky(reruns=2, reruns_delay=1, condition='config.stood_still()')
 # How long a test waits before it fails; a machine that does other things too may stand still
 # for a second at any moment, so what is true `at once` is waited for all the same.
-PATIENCE = 60.0
+PATIENCE = 120.0
 # Domains above 101 use ports that Linux hands out to whoever asks for any.
 _domains = itertools.count(os.getpid())
 _LONE_DOMAIN = PAPER_DOMAINS.stop
@@ -126,8 +126,8 @@ class Station:
 
 
 @contextmanager
-def station():
-    """Yield a Station and a Processes on a ROS domain of their own."""
+def station(kind=ForkedProcesses):
+    """Yield a Station and a kind of Processes on a ROS domain of their own."""
     domain = 1 + next(_domains) % (PAPER_DOMAINS.start - 1)
     context = Context()
     rclpy.init(context=context, domain_id=domain)
@@ -135,17 +135,20 @@ def station():
     executor = best_executor(context)
     executor.add_node(node)
     try:
-        with Processes(domain) as processes:
+        with kind(domain) as processes:
             yield Station(node, executor), processes
     finally:
         node.destroy_node()
         rclpy.shutdown(context=context)
 
 
-def run_node(node, *arguments, timeout=PATIENCE):
+def run_node(node, *arguments):
     """Run a node that is expected to end by itself; return (status, stderr)."""
     environment = dict(os.environ, ROS_DOMAIN_ID=str(_LONE_DOMAIN))
-    done = subprocess.run(
-        [sys.executable, '-m', f'redundant_planner.nodes.{node}', '--ros-args', *arguments],
-        env=environment, capture_output=True, text=True, timeout=timeout, check=False)
-    return done.returncode, done.stderr
+    with tempfile.NamedTemporaryFile() as errors:
+        child = Forked(node, ['--ros-args', *arguments], environment, Path(errors.name))
+        try:
+            status = child.wait(PATIENCE)
+        finally:
+            child.kill()
+        return status, Path(errors.name).read_text()

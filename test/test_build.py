@@ -45,7 +45,8 @@ def test_everything_lies_where_ros2_looks_for_it(workspace):
     share = prefix / 'share' / 'redundant_planner'
     for name in ('package.xml', 'launch/demo.launch.py', 'config/robots/paper_2p5r.urdf',
                  'config/robots/panda.yaml', 'config/planner/default.yaml',
-                 'config/scenarios/paper.yaml'):
+                 'config/scenarios/paper.yaml',
+                 'config/middleware/localhost_udp.xml'):
         assert (share / name).is_file(), name
     index = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages'
     assert (index / 'redundant_planner').is_file()

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 import ctypes
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 import os
 from pathlib import Path
 import signal
@@ -27,7 +28,8 @@ from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.analysis.recording import BagWriter
 from redundant_planner.core.errors import PlannerError
-from redundant_planner.nodes.process import best_executor, keep_off_shared_memory
+from redundant_planner.nodes.inbox import Inbox
+from redundant_planner.nodes.process import keep_off_shared_memory
 from redundant_planner.scenario import Scenario
 
 _TOPICS = {
@@ -44,9 +46,11 @@ _TOPICS = {
 }
 _LATCHED = ('robot_description', 'planner_node/configuration', 'planner_node/ticks')
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
-# How long processes get to start, and to end [s].
-_START_PATIENCE = 30.0
+# How long processes get to start, on a busy machine too, and to end [s].
+_START_PATIENCE = 120.0
 _END_PATIENCE = 3.0
+# How often what has come is recorded [s].
+_LOOK = 0.02
 
 
 class LiveError(PlannerError):
@@ -103,13 +107,8 @@ class Processes:
             remap: names to remap.
             name: what to call it where several of the same kind run.
         """
-        command = [sys.executable, '-m', f'redundant_planner.nodes.{node}', '--ros-args']
-        for file in files:
-            command += ['--params-file', str(file)]
-        for key, value in (values or {}).items():
-            command += ['-p', f'{key}:={_yaml(value)}']
-        for key, target in (remap or {}).items():
-            command += ['-r', f'{key}:={target}']
+        command = [sys.executable, '-m', f'redundant_planner.nodes.{node}',
+                   *ros_arguments(files, values, remap)]
         # A session of its own, so that Ctrl-C reaches us alone and the end is in our order;
         # and a death signal, so that nothing stays behind even if we are killed.
         child = subprocess.Popen(command, env=self.environment, start_new_session=True,
@@ -122,6 +121,21 @@ class Processes:
         for node, child in self._children.items():
             if child.poll() not in (None, 0):
                 raise LiveError(f'{node} ended with exit status {child.returncode}')
+
+
+def ros_arguments(
+    files: Sequence[Path] = (), values: Mapping[str, object] | None = None,
+    remap: Mapping[str, str] | None = None,
+) -> list[str]:
+    """Return a node's command line after its executable; arguments as in `Processes.start`."""
+    arguments = ['--ros-args']
+    for file in files:
+        arguments += ['--params-file', str(file)]
+    for key, value in (values or {}).items():
+        arguments += ['-p', f'{key}:={_yaml(value)}']
+    for key, target in (remap or {}).items():
+        arguments += ['-r', f'{key}:={target}']
+    return arguments
 
 
 def _yaml(value: object) -> str:
@@ -160,6 +174,7 @@ class LiveRun:
 def play(
     scenario: Scenario, scenario_file: Path, bag: Path, *, planner_files: Sequence[Path] = (),
     planner_values: Mapping[str, object] | None = None, domain_id: int | None = None,
+    kind: type[Processes] = Processes,
 ) -> LiveRun:
     """Play a scenario through planner_node and fake_hardware_node and record it.
 
@@ -170,6 +185,7 @@ def play(
         planner_files: parameter files for the planner besides the robot's.
         planner_values: single parameters; 'urdf' goes to the fake hardware as well.
         domain_id: ROS domain; one derived from the process number if not given.
+        kind: of processes the nodes are.
 
     Raises:
         LiveError: a process failed or the motion did not end in time.
@@ -185,51 +201,65 @@ def play(
     context = Context()
     rclpy.init(context=context, domain_id=domain_id)
     try:
-        with Processes(domain_id) as processes, BagWriter(bag) as writer:
-            seen: set[str] = set()
-            recorder = Node('recorder', context=context, enable_rosout=False,
-                            start_parameter_services=False)
-            _record(recorder, writer, seen)
-            executor = best_executor(context)
-            executor.add_node(recorder)
+        with kind(domain_id) as processes, BagWriter(bag) as writer:
+            node = Node('recorder', context=context, enable_rosout=False,
+                        start_parameter_services=False)
+            recorder = _Recorder(node, writer)
             processes.start('fake_hardware_node', [scenario.robot_file], arm)
             planner = processes.start(
                 'planner_node', [scenario.robot_file, *planner_files], values)
 
-            def spin_until(done: object, patience: float, what: str) -> None:
+            def wait_until(done: object, patience: float, what: str) -> None:
                 deadline = time.monotonic() + patience
                 while not done():  # type: ignore[operator]
                     processes.check()
                     if time.monotonic() > deadline:
                         raise LiveError(f'{what} within {patience:g} s')
-                    executor.spin_once(timeout_sec=0.05)
+                    time.sleep(_LOOK)
+                    recorder.record()
 
-            spin_until(lambda: 'joint_command' in seen, _START_PATIENCE,
+            wait_until(lambda: 'joint_command' in recorder.seen, _START_PATIENCE,
                        'no joint_command was published')
             player = processes.start(
                 'scenario_player', values={'scenario': scenario_file, 'subscribers': 2, **(
                     {'urdf': values['urdf']} if 'urdf' in values else {})})
-            spin_until(lambda: 'cmd_vel' in seen, _START_PATIENCE, 'no cmd_vel was published')
+            wait_until(lambda: 'cmd_vel' in recorder.seen, _START_PATIENCE,
+                       'no cmd_vel was published')
             begin, used = time.monotonic(), cpu_seconds(planner.pid)
-            spin_until(lambda: player.poll() is not None, scenario.duration + _START_PATIENCE,
+            wait_until(lambda: player.poll() is not None, scenario.duration + _START_PATIENCE,
                        'the player did not end')
             share = (cpu_seconds(planner.pid) - used) / (time.monotonic() - begin)
-            recorder.destroy_node()
+            recorder.record()
+            node.destroy_node()
     finally:
         rclpy.shutdown(context=context)
     return LiveRun(bag, share)
 
 
-def _record(node: Node, writer: BagWriter, seen: set[str]) -> None:
-    """Write every message of the package's topics to the bag as it arrived."""
-    for topic, (message_class, message_type) in _TOPICS.items():
-        writer.add_topic(f'/{topic}', message_type)
-        latched = topic in _LATCHED
-        qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL if latched
-                         else DurabilityPolicy.VOLATILE)
+class _Recorder:
+    """Writes every message of the package's topics to a bag, with the time of its publication.
 
-        def keep(message: bytes, topic: str = topic) -> None:
-            seen.add(topic)
-            writer.write(f'/{topic}', time.time_ns(), message)
+    Unlike that of its arrival, it does not depend on whether this process is awake.
 
-        node.create_subscription(message_class, topic, keep, qos, raw=True)
+    Attributes:
+        seen: topics of which there was a message.
+    """
+
+    def __init__(self, node: Node, writer: BagWriter) -> None:
+        """Subscribe on a node."""
+        self.seen: set[str] = set()
+        self._writer = writer
+        self._inboxes = {}
+        for topic, (message_class, message_type) in _TOPICS.items():
+            writer.add_topic(f'/{topic}', message_type)
+            self._inboxes[topic] = Inbox(node, message_class, topic, QoSProfile(
+                depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL if topic in _LATCHED
+                else DurabilityPolicy.VOLATILE))
+
+    def record(self) -> None:
+        """Write what has come since the last call."""
+        messages = [(time_ns, topic, message) for topic, inbox in self._inboxes.items()
+                    for message, time_ns in inbox.fetch_stamped()]
+        for time_ns, topic, message in sorted(messages, key=itemgetter(0)):
+            self.seen.add(topic)
+            self._writer.write(f'/{topic}', time_ns, message)

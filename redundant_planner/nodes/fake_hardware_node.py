@@ -55,6 +55,7 @@ class FakeHardwareNode(process.EndableNode):
             JointState, 'joint_command', self._on_command, qos_profile_sensor_data)
         self.create_timer(1.0 / settings.rate, self._tick,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
+        process.request_priority(settings.thread_priority)
         self.get_logger().info(
             f'simulating {", ".join(self._arm.ranges.names)} at {settings.rate} Hz')
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import contextlib
 import gc
 import os
+from pathlib import Path
 import signal
 import sys
 from types import FrameType
@@ -21,8 +22,15 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from redundant_planner.core.errors import PlannerError
+from redundant_planner.resources import share_directory
 
 BAD_INPUT = 2
+
+# What a user chooses Fast DDS's transports with; each release reads one of the two names.
+_PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+_DEFAULT_PROFILE = Path('DEFAULT_FASTRTPS_PROFILES.xml')
+_TRANSPORTS = 'FASTDDS_BUILTIN_TRANSPORTS'
+_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 
 # How long a signal to a node in which nothing happens may wait for the executor to look up [s].
 _PATIENCE = 0.5
@@ -110,11 +118,24 @@ def keep_off_shared_memory() -> None:
 
     Its shared-memory transport checks a newcomer's port in the publishing thread and sleeps
     for 333 ms where that node is slow to answer: whenever some node starts, a control loop may
-    miss eighty ticks. Call it before `rclpy.init`. (Where discovery is limited to LOCALHOST,
-    rmw_fastrtps insists on shared memory and this has no effect.)
+    miss eighty ticks. Call it before `rclpy.init`.
+
+    Where discovery is limited to LOCALHOST, rmw_fastrtps adds shared memory to whatever was
+    chosen. There a profile of ours limits it instead, and rmw_fastrtps is told to add nothing.
+    Peers (ROS_STATIC_PEERS) have no place in that profile: with them shared memory stays.
     """
-    if not {'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE'} & set(os.environ):
-        os.environ.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
+    profile = str(share_directory() / 'config' / 'middleware' / 'localhost_udp.xml')
+    chosen = {os.environ.get(name) for name in _PROFILES} - {None, profile}
+    if chosen or os.environ.get(_TRANSPORTS, 'UDPv4') != 'UDPv4' or _DEFAULT_PROFILE.exists():
+        return
+    os.environ[_TRANSPORTS] = 'UDPv4'
+    only_here = os.environ.get('ROS_LOCALHOST_ONLY') == '1'
+    if only_here or (os.environ.get(_RANGE) == 'LOCALHOST'
+                     and not os.environ.get('ROS_STATIC_PEERS')):
+        os.environ.update(dict.fromkeys(_PROFILES, profile))
+        os.environ[_RANGE] = 'SYSTEM_DEFAULT'
+        if only_here:  # which overrides the range
+            os.environ['ROS_LOCALHOST_ONLY'] = '0'
 
 
 def request_priority(priority: int) -> bool:

@@ -45,6 +45,7 @@ class ScenarioPlayer(process.EndableNode):
         self._twist = self.create_publisher(Twist, 'cmd_vel', 10)
         self._obstacles = self.create_publisher(MarkerArray, 'obstacles', 10)
         self.create_subscription(JointState, 'joint_command', self._on_joint_command, 10)
+        process.request_priority(settings.thread_priority)
         self.create_timer(1.0 / settings.rate, self._tick,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 

@@ -17,7 +17,7 @@ from redundant_planner.analysis.record_bag import main as record_bag
 from redundant_planner.analysis.recording import JointChunk, open_bag
 
 pytestmark = LIVE
-COUNT = 3000
+COUNT = 2000
 
 
 @pytest.mark.parametrize('end', [signal.SIGINT, signal.SIGKILL])

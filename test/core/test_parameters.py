@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import cache
 
 from conftest import make_paper_arm
 import numpy as np
@@ -31,6 +32,7 @@ CHANGES = {
 }
 
 
+@cache  # most compare with the same motion
 def motion(parameters, start=(0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1), axes=None,
            other=(0.05, 0.5, 0.5), drift=(0.0, 0.0, 0.0), known=False):
     robot = make_paper_arm(**({'axes': axes} if axes else {}))

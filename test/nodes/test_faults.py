@@ -31,6 +31,9 @@ ARM = make_paper_arm()
 START = {'d1': 0.1, 'd2': 0.1, 'theta4': 0.5233, 'theta5': -0.5233, 'theta6': 1.0467}
 FILE = [ROBOTS / 'paper_2p5r.yaml']
 RATE = 250.0
+# What docs/interface.md promises: the arm rests after so many commands. Its times are rounded.
+AT_REST = {fault: 1.25 * RATE * seconds for fault, seconds in (
+    ('cmd_vel', 0.4), ('joint_states', 0.15), ('SIGTERM', 0.03))}
 
 
 class Bench:
@@ -59,12 +62,16 @@ class Bench:
         commands.clear()
 
     def until_rest(self, drive=None):
-        """Wait until a command is a stop, driving on or silently; return how many it took."""
+        """Wait until a command is a stop, driving on or silently."""
         if drive is None:
             self.ros.wait_for(self.ros.stops, 'a stop')
         else:
             self.ros.drive_until(drive, self.ros.stops, 'a stop')
-        return len(self.ros.commands)
+
+    def commands_until_rest(self, fault):
+        """How many commands after a fault at a `time.time()` [s] are no stop yet."""
+        after = [m for m in self.ros.commands if seconds_of(m.header.stamp) > fault]
+        return next(i for i, m in enumerate(after) if not np.any(m.velocity))
 
     def until_motion(self):
         self.ros.drive_until(self.forward, self.ros.moves, 'motion')
@@ -136,7 +143,9 @@ def test_joint_states_stop(bench):
     """The planner brakes within the limits, falls silent, and goes on from where the arm is."""
     bench.move()
     bench.arm.send_signal(signal.SIGSTOP)
-    assert bench.until_rest(bench.forward) < RATE
+    fault = time.time()
+    bench.until_rest(bench.forward)
+    assert bench.commands_until_rest(fault) <= AT_REST['joint_states']
     assert_smooth(bench.ros.commands, 'joint_states stop')
     bench.ros.drive_until_silent(bench.forward)
     bench.says('no usable joint_states', DiagnosticStatus.ERROR)
@@ -243,16 +252,20 @@ def test_a_second_planner_on_the_same_arm_stops_both(bench):
 
 def test_the_end_in_the_middle_of_a_motion_is_a_smooth_stop(own_bench):
     own_bench.move()
+    fault = time.time()
     own_bench.planner.send_signal(signal.SIGTERM)
-    own_bench.ros.wait_for(lambda: own_bench.planner.poll() is not None, 'exit', 10.0)
+    own_bench.ros.wait_for(lambda: own_bench.planner.poll() is not None, 'exit')
     assert own_bench.planner.returncode == 0
     own_bench.ros.wait_for(own_bench.ros.stops, 'a stop')
+    assert own_bench.commands_until_rest(fault) <= AT_REST['SIGTERM']
     assert_smooth(own_bench.ros.commands, 'SIGTERM to the planner')
 
 
 def test_the_command_stops_coming(bench):
     bench.move()
-    assert bench.until_rest() < RATE
+    fault = time.time()
+    bench.until_rest()
+    assert bench.commands_until_rest(fault) <= AT_REST['cmd_vel']
     assert_smooth(bench.ros.commands, 'cmd_vel stops')
 
 
@@ -362,27 +375,29 @@ def test_simulated_time_sets_the_pace_and_may_start_anew():
     """At half the speed the loop ticks half as often; a reset simulator does not move the arm."""
     with station() as (ros, processes):
         clock = ros.node.create_publisher(Clock, '/clock', 10)
-        now = [100.0]
+        now, step = [100.0], 0.5 / RATE
 
         def pass_time(seconds, factor, twist=None):
-            begin, start = time.monotonic(), now[0]
-            while time.monotonic() < begin + seconds:
-                now[0] = start + factor * (time.monotonic() - begin)
+            """So many simulated ones, in steps that do not depend on how busy the machine is."""
+            end = now[0] + seconds
+            while now[0] < end:
+                now[0] += step
                 clock.publish(Clock(clock=Time(nanoseconds=round(now[0] * 1e9)).to_msg()))
                 if twist is not None:
                     ros.twist.publish(twist_to_message(twist))
-                ros.spin(0.004)
+                until = time.monotonic() + step / factor
+                while (left := until - time.monotonic()) > 0.0:
+                    ros.spin(left)
 
         processes.start('fake_hardware_node', FILE, {
             'initial_joints': list(START), 'initial_positions': list(START.values())})
         processes.start('planner_node', FILE, {'use_sim_time': True})
         ros.wait_for(lambda: ros.commands, 'commands', meanwhile=lambda: pass_time(0.2, 1.0))
         forward = np.array([0.0, -0.05, 0.0, 0.0, 0.0, 0.0])
-        ros.wait_for(ros.moves, 'motion', meanwhile=lambda: pass_time(0.2, 0.5, forward))
+        ros.wait_for(ros.moves, 'motion', meanwhile=lambda: pass_time(0.1, 0.5, forward))
         ros.commands.clear()
-        begin = now[0]
-        pass_time(1.0, 0.5, forward)
-        ticks = RATE * (now[0] - begin)
+        pass_time(0.5, 0.5, forward)
+        ticks = RATE * 0.5
         assert 0.5 * ticks < len(ros.commands) < 1.2 * ticks
         assert abs(seconds_of(ros.commands[-1].header.stamp) - now[0]) < 0.5
         ros.commands.clear()

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 import yaml
 
 from redundant_planner.analysis.demo import summarise
+from redundant_planner.analysis.live import Processes
 from redundant_planner.analysis.recording import read_recording
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.nodes.messages import markers_of
@@ -80,7 +81,7 @@ def test_looking_ahead_live_takes_the_shorter_joint_path(paper_runs):
     assert length['variational'] < 0.9 * length['dynamic_factor']
 
 
-def test_a_panda_follows_a_typed_twist_for_ten_seconds():
+def test_a_panda_follows_a_typed_twist_for_five_seconds():
     """With a gripper that the planner holds where it finds it."""
     robot, arm = make_panda(), panda_values()
     arm['initial_joints'] += ['panda_finger_joint1']
@@ -95,10 +96,10 @@ def test_a_panda_follows_a_typed_twist_for_ten_seconds():
         assert said['locked_joints'] == ['panda_finger_joint1']
         assert said['locked_positions'] == pytest.approx([0.03])
         before = robot.kinematics(ros.state(robot.joint_names))
-        twist = np.array([0.01, 0.012, -0.008, 0.0, 0.0, 0.02])
+        twist = np.array([0.02, 0.024, -0.016, 0.0, 0.0, 0.04])
         ros.drive_until(twist, ros.moves, 'motion')
         ros.commands.clear()
-        ros.drive(twist, 10.0, rate=20.0)
+        ros.drive(twist, 5.0, rate=20.0)
         ros.wait_for(ros.at_rest, 'rest')
         ros.states.clear()
         ros.wait_for(lambda: ros.states)
@@ -106,9 +107,9 @@ def test_a_panda_follows_a_typed_twist_for_ten_seconds():
         moved = after.tip_position - before.tip_position
         direction = twist[:3] / np.linalg.norm(twist[:3])
         travelled = moved @ direction
-        # Ten seconds, the command's timeout and the stop, or less where the machine stood still;
+        # Five seconds, the command's timeout and the stop, or less where the machine stood still;
         # off the line by less than 0.5 mm.
-        assert 0.5 < travelled / (10.0 * np.linalg.norm(twist[:3])) < 1.04
+        assert 0.5 < travelled / (5.0 * np.linalg.norm(twist[:3])) < 1.08
         assert np.linalg.norm(moved - travelled * direction) < 5e-4
         # The rotation that belongs to the distance travelled, to 0.1°.
         angle = pin.log3(after.tip_rotation @ before.tip_rotation.T)
@@ -187,7 +188,8 @@ def test_an_arm_that_restarts_elsewhere_is_not_pulled_back():
 
 
 def test_an_interrupt_in_motion_ends_in_a_stop_and_a_clean_exit():
-    with station() as (ros, processes):
+    # Not forked: how an interpreter of its own ends is in question.
+    with station(Processes) as (ros, processes):
         processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
         planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
         ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
