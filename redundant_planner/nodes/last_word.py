@@ -208,9 +208,16 @@ class LastWord:
 
     def end(self) -> None:
         """Let the other process go without a word, as the arm rests."""
-        if self._pipe < 0:
-            return
-        self._tell(_END)
+        if self._pipe >= 0:
+            self._tell(_END)
+            self._leave()
+
+    def hand_over(self) -> None:
+        """Have the other process stop the arm now, as this one cannot; it must be silent then."""
+        if self._pipe >= 0:
+            self._leave()
+
+    def _leave(self) -> None:
         os.close(self._pipe)
         self._pipe = -1
         deadline = time.monotonic() + _LEAVING

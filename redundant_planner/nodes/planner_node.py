@@ -608,20 +608,28 @@ class PlannerNode(process.EndableNode):
 
         Destroyed at once, a publisher takes messages with it that are still on their way;
         best-effort listeners do not acknowledge and are told more than once. Where this fails,
-        the last word is the other process's.
+        the other process has the last word.
         """
         if self._runs:
             self.guard.call('publishing the configuration', self._publish_configuration)
-        if self._dq is not None:
-            while self._dq is not None:
-                self._come_to_rest()
-                time.sleep(self._period)
-            for _ in range(STOPS):
-                self._publish(np.zeros(self.robot.n), known=False)
-                self._record_tick(TickKind.BRAKING, np.zeros(6), None)
-                time.sleep(PAUSE)
-            self._output.wait_until_heard(ACKNOWLEDGED)
+        try:
+            self._stop()
+        except Exception:
+            self._last_word.hand_over()
+            raise
         self._last_word.end()
+
+    def _stop(self) -> None:
+        if self._dq is None:
+            return
+        while self._dq is not None:
+            self._come_to_rest()
+            time.sleep(self._period)
+        for _ in range(STOPS):
+            self._publish(np.zeros(self.robot.n), known=False)
+            self._record_tick(TickKind.BRAKING, np.zeros(6), None)
+            time.sleep(PAUSE)
+        self._output.wait_until_heard(ACKNOWLEDGED)
 
     def _warn(self, text: str) -> None:
         """Say what is wrong, the same thing once in a while only."""
