@@ -15,6 +15,7 @@ import gc
 import json
 import mmap
 import os
+import select
 import signal
 import struct
 import time
@@ -47,14 +48,22 @@ ACKNOWLEDGED = 0.3
 # A drive that has heard nothing for so long has stopped by itself and must not be set in motion
 # again: it is told to stop, nothing else [s].
 _STALE = 0.25
+# Who has not found the second node yet when it speaks hears the stop as soon as he has; it waits
+# for so many as listened to the planner, but not longer than this [s].
+_FOUND = 10.0
+# How often it counts who listens [s].
+_LOOK = 0.5
 # How long the planner waits at its own end for the other process to leave [s].
 _LEAVING = 1.0
 
-# Shared memory: how many commands were noted, what the process does, and two places for commands,
-# written in turns: whoever dies while writing one leaves the other.
+# Shared memory: how many commands were noted, what the process does, how many listen to the
+# planner and to it, and two places for commands, written in turns: whoever dies while writing one
+# leaves the other.
 _SIZE = 1 << 16
 _COUNT = struct.Struct('@Q')  # native, as it is then written at once
 _STATE = _COUNT.size
+_NUMBER = struct.Struct('@I')
+_PLANNERS_LISTENERS, _OWN_LISTENERS = 16, 20
 _COMMANDS = 64
 _HAS_STARTED, _HAS_FAILED = 1, 2
 _END = b'end\n'
@@ -195,15 +204,23 @@ class LastWord:
         if self._briefed and self._commands is not None:
             self._commands.note(stamp_ns, positions, velocities)
 
-    def state(self) -> str:
-        """Return `STARTING`, `READY`, or why nobody would stop the arm."""
+    def state(self, listeners: int) -> str:
+        """Return `STARTING`, `READY`, or why nobody would stop the arm.
+
+        Args:
+            listeners: how many subscribe to the planner's joint_command; the other process is
+                ready when as many have found it.
+        """
         if not self._trouble and self._memory is not None:
+            _NUMBER.pack_into(self._memory, _PLANNERS_LISTENERS, listeners)
             if self._has_left():
                 self._trouble = 'its process has ended'
             elif self._memory[_STATE] == _HAS_FAILED:
                 self._trouble = 'its process could not start its node'
             else:
-                return READY if self._memory[_STATE] == _HAS_STARTED else STARTING
+                found, = _NUMBER.unpack_from(self._memory, _OWN_LISTENERS)
+                started = self._memory[_STATE] == _HAS_STARTED
+                return READY if started and found >= listeners else STARTING
         return self._trouble
 
     def end(self) -> None:
@@ -280,12 +297,14 @@ def _wait_and_speak(pipe: int, memory: mmap.mmap, args: list[str] | None) -> Non
         output = CommandOutput(node, brief.joint_names, brief.outputs, brief.period)
         process.request_priority(brief.priority)
         memory[_STATE] = _HAS_STARTED
+        while not select.select([lines], [], [], _LOOK)[0]:
+            _NUMBER.pack_into(memory, _OWN_LISTENERS, output.listeners())
         if lines.readline() != _END:
             commands = CommandMemory(memory)
             commands.prepare(len(brief.joint_names))
             last = commands.latest()
             if last is not None and last.velocities.any():
-                speak(brief, last, output)
+                speak(brief, last, output, _NUMBER.unpack_from(memory, _PLANNERS_LISTENERS)[0])
                 node.get_logger().error(
                     f'{brief.node} died while the arm moved; it was told to stop')
         node.destroy_node()
@@ -293,7 +312,7 @@ def _wait_and_speak(pipe: int, memory: mmap.mmap, args: list[str] | None) -> Non
 
 
 def speak(
-    brief: Brief, last: NotedCommand, output: CommandOutput,
+    brief: Brief, last: NotedCommand, output: CommandOutput, listeners: int,
     clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep,
 ) -> None:
     """Bring an arm to rest that was last told to move.
@@ -302,6 +321,7 @@ def speak(
         brief: about the planner and its robot.
         last: command that was noted.
         output: takes the commands.
+        listeners: how many must have had the chance to hear the stop.
         clock, sleep: of the system [s].
     """
     dq, positions = last.velocities, last.positions
@@ -321,6 +341,9 @@ def speak(
         now = clock()
         due = now + brief.period
         publish(now)
+    enough = clock() + _FOUND
+    while output.listeners() < listeners and clock() < enough:
+        sleep(PAUSE)
     for _ in range(STOPS):
         sleep(PAUSE)
         publish(clock())

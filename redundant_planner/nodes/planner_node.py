@@ -576,7 +576,8 @@ class PlannerNode(process.EndableNode):
             self._rivals[topic] = sender_names([
                 publisher for publisher in self.get_publishers_info_by_topic(name)
                 if not publisher.node_name.endswith(SUFFIX)])
-        before, self._state.last_word = self._state.last_word, self._last_word.state()
+        before = self._state.last_word
+        self._state.last_word = self._last_word.state(self._output.listeners())
         if self._state.last_word not in (before, READY, STARTING):
             self._warn(f'without a last word: {self._state.last_word}; if this process died in '
                        'motion, its last command would stand')
