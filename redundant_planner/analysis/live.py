@@ -94,21 +94,23 @@ class Processes:
                 child.wait()
 
     def start(
-        self, node: str, files: Sequence[Path] = (),
+        self, node: str | Path, files: Sequence[Path] = (),
         values: Mapping[str, object] | None = None, remap: Mapping[str, str] | None = None,
         name: str = '',
     ) -> subprocess.Popen[bytes]:
         """Start a node of this package.
 
         Args:
-            node: 'planner_node', 'fake_hardware_node' or 'scenario_player'.
+            node: 'planner_node', 'fake_hardware_node' or 'scenario_player', or a script that
+                takes the same arguments.
             files: parameter files.
             values: single parameters, which win over the files.
             remap: names to remap.
             name: what to call it where several of the same kind run.
         """
-        command = [sys.executable, '-m', f'redundant_planner.nodes.{node}',
-                   *ros_arguments(files, values, remap)]
+        program = ([str(node)] if isinstance(node, Path)
+                   else ['-m', f'redundant_planner.nodes.{node}'])
+        command = [sys.executable, *program, *ros_arguments(files, values, remap)]
         # A session of its own, so that Ctrl-C reaches us alone and the end is in our order;
         # and a death signal, so that nothing stays behind even if we are killed.
         child = subprocess.Popen(command, env=self.environment, start_new_session=True,

@@ -52,6 +52,10 @@ class Beat:
         self._due = min(self._due, latest)
         return self._due
 
+    def is_due(self, now: float) -> bool:
+        """Return whether the next tick may begin [s]; not before the first has."""
+        return now + self._lead >= self._due + self._period
+
     def wait(self) -> None:
         """Wait until the command is due, if it is not yet and a tick has ever begun."""
         begin = time.monotonic()

@@ -62,6 +62,10 @@ class CommandOutput:
                 publisher.publish(Float64MultiArray(
                     data=position if name == POSITION_COMMANDS else velocity))
 
+    def listeners(self) -> int:
+        """Return how many subscriptions to joint_command have found this publisher."""
+        return int(self._publisher.get_subscription_count())
+
     def wait_until_heard(self, seconds: float) -> None:
         """Wait until reliable listeners have acknowledged the last command, or the time is up."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))

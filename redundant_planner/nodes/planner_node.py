@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 import time
 from typing import Any
@@ -32,8 +33,19 @@ from redundant_planner.nodes import process
 from redundant_planner.nodes.beat import Beat, wake_up_in_time
 from redundant_planner.nodes.command_input import CommandInput, sender_names
 from redundant_planner.nodes.command_output import CommandOutput
+from redundant_planner.nodes.guard import line_of
 from redundant_planner.nodes.inbox import Inbox
 from redundant_planner.nodes.joint_messages import JointReader
+from redundant_planner.nodes.last_word import (
+    ACKNOWLEDGED,
+    Brief,
+    LastWord,
+    PAUSE,
+    READY,
+    STARTING,
+    STOPS,
+    SUFFIX,
+)
 from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 from redundant_planner.nodes.ros_parameters import declare, declare_entries, on_change
@@ -55,11 +67,6 @@ Array = npt.NDArray[np.float64]
 # Warnings that a stream of bad messages would repeat are said this often at most [s].
 _WARN_PERIOD = 1.0
 _KINDS = 100
-# The stop at the end: how often it is said, with what pauses [s], and how long an
-# acknowledgement may take [s].
-_LAST_WORDS = 3
-_PAUSE = 0.01
-_ACKNOWLEDGED = 0.3
 # How often the node looks for rivals on its topics, and for how long before it first moves [s].
 _LOOK_AROUND = 0.5
 _FIRST_LOOK = 1.0
@@ -67,21 +74,34 @@ _FIRST_LOOK = 1.0
 _MOVED = 5e-3
 # A tick that comes this much after the one before it must not go on where that left off [s].
 _GAP = 1.0
+# Of messages about obstacles, one is taken in after each tick, and more in this share of the
+# period; so many may wait, as many as a subscriber of that depth would keep.
+_OBSTACLE_SHARE = 0.1
+_OBSTACLE_MESSAGES = 100
+# How long changed parameters wait for others to be published with [s].
+_CONFIGURATION_PAUSE = 0.25
 
 
 class PlannerNode(process.EndableNode):
     """Runs `Planner.step` on the latest inputs at a fixed rate.
 
-    Whatever is not needed for the command of a tick is done after that command is out.
+    Whatever is not needed for the command of a tick is done after that command is out. A tick
+    that is due comes first, whatever else has arrived.
     """
 
-    def __init__(self) -> None:
+    _runs = False  # whether the loop has started
+
+    def __init__(self, last_word: LastWord | None = None) -> None:
         """Read all parameters; the loop starts once the robot is known.
+
+        Args:
+            last_word: stops the arm should this process die; None to go without.
 
         Raises:
             PlannerError: a parameter is wrong.
         """
         super().__init__('planner_node')
+        self._last_word = last_word or LastWord.absent('not asked for')
         self._robot_parameters = declare(self, RobotParameters)
         self._planner_parameters = declare(self, PlannerParameters)
         self._settings = declare(self, PlannerNodeParameters)
@@ -108,18 +128,23 @@ class PlannerNode(process.EndableNode):
         # The last command; None while the arm rests and the node is silent.
         self._dq: Array | None = None
         self._restart = ''
+        self._failure = ''  # what broke the loop, until a reset
+        self._reset_asked = False
         self._paused = False
         self._ready = np.inf
         self._found: Array = np.empty(0)  # where the arm was while nobody moved it
         self._last_tick = -np.inf
         self._rivals: dict[str, list[str]] = {}
-        self._raw_obstacles: list[bytes] = []
+        self._raw_obstacles: deque[bytes] = deque()
         self._obstacle_time = -np.inf
         self._applied = 0
         self._reason = ''
         self._said: dict[str, float] = {}
         self._period = 1.0 / self._settings.rate
         self._beat = Beat(self._period)
+        self._ahead = False  # whether a tick has run before the timer asked for it
+        self._out = False  # whether this tick's command is out
+        self._no_time = ''  # why the loop's clock stands still
 
         # What is listened to only until the first command.
         self._at_first: list[Subscription] = []
@@ -187,9 +212,11 @@ class PlannerNode(process.EndableNode):
         self._joints = JointReader(robot.joint_names)
         self._output = CommandOutput(
             self, robot.joint_names, self._settings.outputs, self._period)
+        self._last_word.brief(self._brief(robot))
         self._subscribe()
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._configuration = self.create_publisher(String, '~/configuration', latched)
+        self._unpublished = True  # whether parameters have changed since the last publication
         self._publish_configuration()
         # Latched, too: a recorder that comes late still gets the beginning.
         history = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -203,13 +230,26 @@ class PlannerNode(process.EndableNode):
         on_change(self, lambda: (self._planner_parameters, self._settings), self._apply,
                   'static_obstacle')
         wake_up_in_time()
-        self.create_timer(self._period, self._tick, clock=self._loop_clock)
+        self._runs = True
+        self.create_timer(self._period, self._on_timer, clock=self._loop_clock)
+        if self._now is not time.monotonic:
+            self.create_timer(self._period, self._while_time_stands,
+                              clock=Clock(clock_type=ClockType.STEADY_TIME))
         if not process.request_priority(self._settings.thread_priority):
             self.get_logger().info(
                 'no real-time priority: the system does not grant it (see README, timing)')
         self.get_logger().info(
             f"planning for '{robot.name}' from {robot.base_frame} to {robot.tip_frame} at "
             f'{self._settings.rate} Hz; joints: {", ".join(robot.joint_names)}')
+
+    def _brief(self, robot: Robot) -> Brief:
+        """Return what somebody must know who speaks in this node's place."""
+        outputs = self._settings.outputs
+        return Brief(
+            self.get_name(), self.get_namespace(),
+            {name: self.resolve_topic_name(name) for name in ('joint_command', *outputs)},
+            outputs, robot.joint_names, robot.position_min.tolist(), robot.position_max.tolist(),
+            robot.acceleration_max.tolist(), self._period, self._settings.thread_priority)
 
     def _subscribe(self) -> None:
         command, sensors = self._command, qos_profile_sensor_data
@@ -222,7 +262,7 @@ class PlannerNode(process.EndableNode):
             MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1)
         self._joint_states = Inbox(self, JointState, 'joint_states')
         self.create_subscription(
-            MarkerArray, 'obstacles', self._raw_obstacles.append, 10, raw=True)
+            MarkerArray, 'obstacles', self._on_obstacles, 10, raw=True)
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/reset', self._on_reset)
 
@@ -232,7 +272,9 @@ class PlannerNode(process.EndableNode):
         self._markers = self.create_publisher(MarkerArray, '~/markers', 1)
         self._robot_markers = RobotMarkers(self.robot)
         settings = self._settings
-        self._chores: list[tuple[float, Callable[[], None]]] = [(_LOOK_AROUND, self._look_around)]
+        self._chores: list[tuple[float, Callable[[], None]]] = [
+            (_LOOK_AROUND, self._look_around),
+            (_CONFIGURATION_PAUSE, self._publish_configuration)]
         if settings.diagnostics_rate > 0.0:
             self._chores.append((1.0 / settings.diagnostics_rate, self._publish_diagnostics))
         if settings.marker_rate > 0.0:
@@ -261,10 +303,13 @@ class PlannerNode(process.EndableNode):
         self._obstacles.estimate_velocity = settings.estimate_obstacle_velocity
         self._command.timeout = settings.incoming_command_timeout
         self._planner_parameters, self._settings = planner, settings
-        self._publish_configuration()
+        self._unpublished = True
 
     def _publish_configuration(self) -> None:
-        """Say all parameters, so that a bag explains itself."""
+        """Say all parameters where they have changed, so that a bag explains itself."""
+        if not self._unpublished:
+            return
+        self._unpublished = False
         self._configuration.publish(String(data=parameter_file_text(
             self._robot_parameters, self.robot, self._static, self._planner_parameters,
             self._settings)))
@@ -287,6 +332,15 @@ class PlannerNode(process.EndableNode):
             self._restart = 'joint_states jumped: the motion starts again from where the arm is'
         self._q, self._q_time = q, now
 
+    def _on_obstacles(self, message: bytes) -> None:
+        """Keep a message until a tick's command is out."""
+        if len(self._raw_obstacles) == _OBSTACLE_MESSAGES:
+            self._raw_obstacles.popleft()
+            self._applied += 1
+            self._warn('obstacles come faster than they can be taken in: the oldest message of '
+                       f'{_OBSTACLE_MESSAGES} was dropped')
+        self._raw_obstacles.append(message)
+
     def _on_foreign_command(self, message: bytes) -> None:
         if self._at_first:
             self._ready = self._now() + _FIRST_LOOK
@@ -300,28 +354,86 @@ class PlannerNode(process.EndableNode):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._restart = 'reset: the motion starts again from where the arm is'
+        self._reset_asked = bool(self._failure)
         response.success, response.message = True, self._restart
         return response
 
+    def go_first(self) -> None:
+        """Run the tick if it is due: no queue of other callbacks delays it by more than one."""
+        if self._runs and self._beat.is_due(time.monotonic()):
+            self._ahead = True
+            self._tick()
+
+    def _on_timer(self) -> None:
+        """Run the tick, unless `go_first` has."""
+        ahead, self._ahead = self._ahead, False
+        if not ahead or self._beat.is_due(time.monotonic()):
+            self._tick()
+
     def _tick(self) -> None:
+        """Command the arm once; an exception that nobody foresaw brings it to rest."""
         begin = time.perf_counter()
-        states = self._joint_states.fetch()
+        states = self.guard.call('reading joint_states', self._joint_states.fetch) or []
         now = self._tick_time = self._now()
         if self._now is time.monotonic:  # simulated time does not pass while a callback waits
             self._beat.begin(now)
+        self._out, self._no_time = False, ''
         for state in states:
-            self._on_joint_state(state, now)
+            try:
+                self._on_joint_state(state, now)
+            except Exception as error:
+                self.guard.caught('reading joint_states', error)
+        try:
+            if self._reset_asked and self._dq is None:
+                self._start_anew()
+            if not self._failure:
+                self._plan_or_hold(now)
+        except Exception as error:
+            self.guard.caught('the tick', error)
+            self._failure = f'fault in the tick: {line_of(error)}; ~/reset goes on from there'
+        if self._failure:
+            self.guard.call('braking', self._brake_after_failure)
+        self._last_tick = now
+        elapsed = time.perf_counter() - begin - self._beat.waited
+        self._state.tick_times.append(elapsed)
+        self._state.overruns += elapsed > self._period
+        self._after_the_tick()
+
+    def _plan_or_hold(self, now: float) -> None:
         hold = self._reason_to_hold(now)
         if hold:
             self._come_to_rest()
         else:
             self._move(now)
-        self._last_tick = now
         self._state.hold = hold
-        elapsed = time.perf_counter() - begin - self._beat.waited
-        self._state.tick_times.append(elapsed)
-        self._state.overruns += elapsed > self._period
-        self._after_the_tick(now)
+
+    def _brake_after_failure(self) -> None:
+        """Slow down from the last command; a later tick tries again where this one fails."""
+        self._state.hold, self._state.fault = self._failure, True
+        if not self._out:
+            self._come_to_rest()
+
+    def _start_anew(self) -> None:
+        """Forget all about the motion, be it what broke the loop: a reset, at rest."""
+        self._reset_asked = False
+        self._planner = Planner(self.robot, self._planner_parameters)
+        self._position_command.reset()
+        self._command.forget()
+        self._command.forget_preview()
+        self._failure = self._reason = ''
+        self._state.result = None
+
+    def _while_time_stands(self) -> None:
+        """Bring the arm to rest, by the system's clock, where the loop's own has been refused."""
+        if self._no_time:
+            self._state.hold, self._state.fault = self._no_time, True
+            self._come_to_rest()
+            self._do_chores(time.monotonic())
+
+    def refuse_time(self, reason: str) -> None:
+        """Stop: without time there are no ticks."""
+        self._warn(reason)
+        self._no_time = reason
 
     def _reason_to_hold(self, now: float) -> str:
         """Say why the arm must rest; empty if it may move."""
@@ -358,10 +470,10 @@ class PlannerNode(process.EndableNode):
             return
         dq = braked(self._dq, self.robot.acceleration_max, self._period)
         self._publish(dq, known=False)
-        self._record_tick(TickKind.BRAKING, np.zeros(6), None)
         if not dq.any():
             self._dq = None
             self._command.forget()
+        self._record_tick(TickKind.BRAKING, np.zeros(6), None)
 
     def _move(self, now: float) -> None:
         planner, q = self._planner, self._q
@@ -384,6 +496,8 @@ class PlannerNode(process.EndableNode):
             twist = self._in_command_frame(twist, q)
         self._obstacles.expire(now)
         result = planner.step(q, twist, self._obstacles.scene, self._period, ahead)
+        if not np.isfinite(result.dq).all():
+            raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
         self._publish(result.dq)
         self._record_tick(kind, twist, ahead)
         if result.reason and not self._reason:
@@ -402,8 +516,9 @@ class PlannerNode(process.EndableNode):
         positions = self._position_command.advance(self._q, dq, self._period, known=known)
         self._beat.wait()
         self._stamp_ns = self._stamp()
+        self._last_word.note(self._stamp_ns, positions, dq)
         self._output.publish(self._stamp_ns, positions, dq)
-        self._dq = dq
+        self._dq, self._out = dq, True
 
     def _record_tick(self, kind: TickKind, twist: Array, ahead: TwistAhead | None) -> None:
         if self._ticks is None:
@@ -414,30 +529,40 @@ class PlannerNode(process.EndableNode):
             self._stamp_ns, self._tick_time, kind, self._applied, self._command.previews,
             elapsed, twist, self._q).numbers()))
 
-    def _after_the_tick(self, now: float) -> None:
+    def _after_the_tick(self) -> None:
         """Take in obstacles, and do at most one of the chores that are due.
 
         Where obstacles came in, chores wait for another tick, but not for ever.
         """
-        busy = bool(self._raw_obstacles)
+        now, busy = self._tick_time, bool(self._raw_obstacles)
         if busy:
-            self._take_in_obstacles(now)
+            self.guard.call('taking in obstacles', self._take_in_obstacles)
         if now < self._ready <= now + 2.0 * self._period:
-            self._look_around()
+            self.guard.call('looking around', self._look_around)
+        self._do_chores(now, busy)
+
+    def _do_chores(self, now: float, busy: bool = False) -> None:
         for i, (period, chore) in enumerate(self._chores):
             patience = period if busy else 0.0
             if now >= self._due[i] + patience or self._due[i] > now + period:
                 self._due[i] = now + period
-                chore()
+                self.guard.call('the work after a tick', chore)
                 return
 
-    def _take_in_obstacles(self, now: float) -> None:
-        raw, self._obstacle_time = list(self._raw_obstacles), now
-        self._raw_obstacles.clear()
-        self._applied += len(raw)
-        for message in raw:
-            for problem in self._obstacles.update(message, now):
-                self._warn(f'{problem}; ignored')
+    def _take_in_obstacles(self) -> None:
+        """Take in the messages that have waited longest, one at least, as time allows."""
+        now = self._obstacle_time = self._tick_time
+        enough = time.perf_counter() + _OBSTACLE_SHARE * self._period
+        while self._raw_obstacles:
+            self._applied += 1
+            message = self._raw_obstacles.popleft()
+            try:
+                for problem in self._obstacles.update(message, now):
+                    self._warn(f'{problem}; ignored')
+            except Exception as error:
+                self.guard.caught("a message on 'obstacles'", error)
+            if time.perf_counter() > enough:
+                break
         assert self._planner is not None
         self._planner.prepare(self._obstacles.scene)
 
@@ -445,13 +570,21 @@ class PlannerNode(process.EndableNode):
         """See who else commands this arm."""
         for topic in ('cmd_vel', 'joint_command'):
             name = self.resolve_topic_name(topic)
-            self._rivals[topic] = sender_names(self.get_publishers_info_by_topic(name))
+            self._rivals[topic] = sender_names([
+                publisher for publisher in self.get_publishers_info_by_topic(name)
+                if not publisher.node_name.endswith(SUFFIX)])
+        before = self._state.last_word
+        self._state.last_word = self._last_word.state(self._output.listeners())
+        if self._state.last_word not in (before, READY, STARTING):
+            self._warn(f'without a last word: {self._state.last_word}; if this process died in '
+                       'motion, its last command would stand')
 
     def _publish_diagnostics(self) -> None:
         state, now = self._state, self._now()
         state.joint_state_age = now - self._q_time
         state.command_age = self._command.age()
         state.obstacle_age = now - self._obstacle_time
+        state.faults, state.last_fault = self.guard.count, self.guard.last
         status = status_of(
             self.get_fully_qualified_name(), self.robot, state, self._q,
             self._planner_parameters.method, len(self._obstacles.scene.names))
@@ -472,18 +605,29 @@ class PlannerNode(process.EndableNode):
         """Bring the arm to rest and leave it with a stop as its last command.
 
         Destroyed at once, a publisher takes messages with it that are still on their way;
-        best-effort listeners do not acknowledge and are told more than once.
+        best-effort listeners do not acknowledge and are told more than once. Where this fails,
+        the other process has the last word.
         """
+        if self._runs:
+            self.guard.call('publishing the configuration', self._publish_configuration)
+        try:
+            self._stop()
+        except Exception:
+            self._last_word.hand_over()
+            raise
+        self._last_word.end()
+
+    def _stop(self) -> None:
         if self._dq is None:
             return
         while self._dq is not None:
             self._come_to_rest()
             time.sleep(self._period)
-        for _ in range(_LAST_WORDS):
+        for _ in range(STOPS):
             self._publish(np.zeros(self.robot.n), known=False)
             self._record_tick(TickKind.BRAKING, np.zeros(6), None)
-            time.sleep(_PAUSE)
-        self._output.wait_until_heard(_ACKNOWLEDGED)
+            time.sleep(PAUSE)
+        self._output.wait_until_heard(ACKNOWLEDGED)
 
     def _warn(self, text: str) -> None:
         """Say what is wrong, the same thing once in a while only."""
@@ -497,7 +641,8 @@ class PlannerNode(process.EndableNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run planner_node."""
-    return process.run(PlannerNode, 'planner_node', args)
+    last_word = LastWord.stand_by(args)
+    return process.run(lambda: PlannerNode(last_word), 'planner_node', args)
 
 
 if __name__ == '__main__':

@@ -38,6 +38,8 @@ class LoopState:
         result: of the last tick, None before the first.
         tick_times: of the ticks since the last report [s].
         overruns: ticks that took longer than the period, since the start.
+        faults, last_fault: exceptions that nobody foresaw, since the start, and the latest one.
+        last_word: what the process does that stops the arm should this one die.
         joint_state_age, command_age, obstacle_age: [s], infinite before the first message.
     """
 
@@ -47,6 +49,9 @@ class LoopState:
     result: StepResult | None = None
     tick_times: deque[float] = field(default_factory=lambda: deque(maxlen=_TICKS))
     overruns: int = 0
+    faults: int = 0
+    last_fault: str = ''
+    last_word: str = 'starting'
     joint_state_age: float = np.inf
     command_age: float = np.inf
     obstacle_age: float = np.inf
@@ -82,6 +87,9 @@ def status_of(
         'tick time, median [us]': _number(1e6, np.median, state.tick_times),
         'tick time, longest [us]': _number(1e6, np.max, state.tick_times),
         'overruns': str(state.overruns),
+        'faults': str(state.faults),
+        'last fault': state.last_fault,
+        'last word': state.last_word,
         'age of joint_states [s]': f'{state.joint_state_age:.3f}',
         'age of cmd_vel [s]': f'{state.command_age:.3f}',
         'age of obstacles [s]': f'{state.obstacle_age:.3f}',

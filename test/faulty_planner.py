@@ -1,0 +1,76 @@
+"""planner_node with faults of its own: a message on the topic `fault` names the one to make."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+
+import numpy as np
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from redundant_planner.nodes import planner_node, process
+from redundant_planner.nodes.last_word import LastWord
+
+
+class FaultyPlannerNode(planner_node.PlannerNode):
+    """Breaks where it is told to."""
+
+    def __init__(self, last_word):
+        super().__init__(last_word)
+        self.create_subscription(
+            String, 'fault', lambda message: getattr(self, f'break_{message.data}')(), 10)
+
+    def break_message(self):
+        raise ZeroDivisionError('a bad message')
+
+    def break_executor(self):
+        def escape():
+            Node.destroy_timer(self, timer)
+            raise ZeroDivisionError('outside of every callback of ours')
+
+        timer = Node.create_timer(self, 0.0, escape)
+
+    def break_tick(self):
+        def step(*arguments):
+            raise ZeroDivisionError('a bad tick')
+
+        self._planner.step = step
+
+    def break_nan(self):
+        good = self._planner.step
+        self._planner.step = lambda *arguments: good(*arguments)._replace(
+            dq=np.full(self.robot.n, np.nan))
+
+    def break_braking(self):
+        """Break a tick, and then the braking as well, for a while."""
+        self.break_tick()
+        good, left = planner_node.braked, [3]
+
+        def braked(*arguments):
+            left[0] -= 1
+            if left[0] >= 0:
+                raise ZeroDivisionError('bad braking')
+            return good(*arguments)
+
+        planner_node.braked = braked
+
+    def break_segfault(self):
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+    def break_system_exit(self):
+        raise SystemExit(3)
+
+    def break_bad_finish(self):
+        """Leave in the middle of a motion, without being able to stop."""
+        def publish(*arguments):
+            raise ZeroDivisionError('nothing goes out any more')
+
+        self._output.publish = publish
+        raise SystemExit(4)
+
+
+if __name__ == '__main__':
+    last_word = LastWord.stand_by(None)
+    sys.exit(process.run(lambda: FaultyPlannerNode(last_word), 'planner_node'))
