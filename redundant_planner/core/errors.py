@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+import difflib
 
 
 class PlannerError(ValueError):
@@ -37,3 +38,23 @@ def known(names: Iterable[str]) -> str:
     names = list(names)
     shown = ', '.join(f"'{name}'" for name in names[:12])
     return f'{shown} and {len(names) - 12} more' if len(names) > 12 else shown or 'none'
+
+
+def unknown_names(given: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Return a sentence for every given parameter name that is not known.
+
+    It says which known name was probably meant, if one is near.
+    """
+    known = sorted(set(known))
+    sentences = []
+    for name in sorted(set(given) - set(known)):
+        near = difflib.get_close_matches(name, known, 1)
+        meant = f"; did you mean '{near[0]}'?" if near else ''
+        sentences.append(f"parameter '{name}' is not known{meant}")
+    return sentences
+
+
+def shown(value: object) -> str:
+    """Return a value as a message shows it, not longer than a line."""
+    text = repr(value)
+    return text if len(text) <= 80 else f'{text[:77]}...'

@@ -218,11 +218,11 @@ class PlannerNode(process.EndableNode):
         command, sensors = self._command, qos_profile_sensor_data
         if self._settings.enable_stamped_cmd_vel:
             self.create_subscription(
-                TwistStamped, 'cmd_vel', command.on_twist_stamped, sensors)
+                TwistStamped, 'cmd_vel', command.on_twist_stamped, sensors, raw=True)
         else:
-            self.create_subscription(Twist, 'cmd_vel', command.on_twist, sensors)
+            self.create_subscription(Twist, 'cmd_vel', command.on_twist, sensors, raw=True)
         self.create_subscription(
-            MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1)
+            MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1, raw=True)
         self._joint_states = Inbox(self, JointState, 'joint_states')
         self.create_subscription(
             MarkerArray, 'obstacles', self._raw_obstacles.append, 10, raw=True)
