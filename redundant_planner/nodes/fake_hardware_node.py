@@ -16,7 +16,11 @@ from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.joint_motion import joint_ranges, SimulatedArm
 from redundant_planner.nodes import messages, process
 from redundant_planner.nodes.joint_messages import JointWriter
-from redundant_planner.nodes.ros_parameters import declare, FakeHardwareParameters
+from redundant_planner.nodes.ros_parameters import (
+    declare,
+    FakeHardwareParameters,
+    unknown_parameters,
+)
 from redundant_planner.resources import resolve
 from redundant_planner.robot_parameters import RobotParameters
 
@@ -35,6 +39,8 @@ class FakeHardwareNode(process.EndableNode):
         super().__init__('fake_hardware_node')
         robot = declare(self, RobotParameters)
         settings = declare(self, FakeHardwareParameters)
+        for sentence in unknown_parameters(self):
+            self.get_logger().warning(sentence)
         urdf = resolve(robot.urdf).read_text() if robot.urdf else robot.robot_description
         if not urdf:
             raise ParameterError("parameter 'urdf' is empty; give the URDF to simulate")

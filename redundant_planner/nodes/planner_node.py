@@ -34,12 +34,15 @@ from redundant_planner.nodes.command_output import CommandOutput
 from redundant_planner.nodes.inbox import Inbox
 from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.messages import NANOSECONDS
-from redundant_planner.nodes.obstacle_book import ObstacleBook
+from redundant_planner.nodes.obstacle_book import checked, ObstacleBook
 from redundant_planner.nodes.ros_parameters import (
+    CAPSULE,
     declare,
     declare_entries,
     on_change,
     PlannerNodeParameters,
+    STATIC_OBSTACLE,
+    unknown_parameters,
 )
 from redundant_planner.nodes.state_report import diagnostics, LoopState, RobotMarkers, status_of
 from redundant_planner.nodes.transforms import transform_lookup
@@ -90,11 +93,12 @@ class PlannerNode(process.EndableNode):
         self._planner_parameters = declare(self, PlannerParameters)
         self._settings = declare(self, PlannerNodeParameters)
         self._capsules = declare_entries(
-            self, 'capsule', self._robot_parameters.capsules,
-            {'frame': 'text', 'start': 3, 'end': 3, 'radius': 1})
+            self, 'capsule', self._robot_parameters.capsules, CAPSULE)
         self._static = declare_entries(
-            self, 'static_obstacle', self._settings.static_obstacles,
-            {'center': 3, 'semi_axes': 3, 'orientation': 4}, runtime=True)
+            self, 'static_obstacle', self._settings.static_obstacles, STATIC_OBSTACLE,
+            runtime=True)
+        for sentence in unknown_parameters(self):
+            self.get_logger().warning(sentence)
         static = [obstacle_of(name, entry) for name, entry in self._static.items()]
 
         # The system's own clocks, rclpy's take a hundred times as long to read.
@@ -204,7 +208,7 @@ class PlannerNode(process.EndableNode):
             raw=True))
         self._report_state()
         on_change(self, lambda: (self._planner_parameters, self._settings), self._apply,
-                  'static_obstacle')
+                  'static_obstacle', STATIC_OBSTACLE)
         wake_up_in_time()
         self.create_timer(self._period, self._tick, clock=self._loop_clock)
         if not process.request_priority(self._settings.thread_priority):
@@ -250,17 +254,16 @@ class PlannerNode(process.EndableNode):
 
     def _apply(
         self, planner: PlannerParameters, settings: PlannerNodeParameters,
-        others: dict[str, Any],
+        others: dict[tuple[str, str], Any],
     ) -> None:
         """Take new settings; raises PlannerError before anything has changed."""
         assert self._planner is not None
         entries = {name: dict(entry) for name, entry in self._static.items()}
-        for full, value in others.items():
-            _, name, key = full.split('.')
+        for (name, key), value in others.items():
             entries[name][key] = value
-        static = [obstacle_of(name, entry) for name, entry in entries.items()]
+        static = checked(obstacle_of(name, entry) for name, entry in entries.items())
         self._planner.parameters = planner
-        self._static, self._obstacles.static = entries, static  # type: ignore[assignment]
+        self._static, self._obstacles.static = entries, static
         self._obstacles.estimate_velocity = settings.estimate_obstacle_velocity
         self._command.timeout = settings.incoming_command_timeout
         self._planner_parameters, self._settings = planner, settings

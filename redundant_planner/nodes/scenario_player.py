@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import time
 
 from geometry_msgs.msg import Twist
@@ -14,42 +13,10 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import ParameterError
-from redundant_planner.core.parameters import check, parameter
 from redundant_planner.nodes import messages, process
-from redundant_planner.nodes.ros_parameters import declare
+from redundant_planner.nodes.ros_parameters import declare, PlayerParameters, unknown_parameters
 from redundant_planner.resources import resolve
 from redundant_planner.scenario import load_scenario
-
-
-@dataclass(frozen=True)
-class PlayerParameters:
-    """What scenario_player needs.
-
-    Raises:
-        ParameterError: a value has the wrong type or range.
-    """
-
-    scenario: str = parameter(
-        '', description='Scenario file: a path, file:// or package:// location. Required.')
-    urdf: str = parameter(
-        '', description="URDF file to use instead of the scenario's robot file's.")
-    rate: int = parameter(
-        200, low=1, high=1000, unit='Hz', description='Rate of cmd_vel.')
-    subscribers: int = parameter(
-        1, low=1, high=100,
-        description='The motion starts once this many nodes listen on its topics: 2 where a '
-                    'recorder must not miss the beginning.')
-    preview: bool = parameter(
-        True, description='Whether the whole twist is announced on cmd_vel_preview before the '
-                          'motion, for planners that look ahead.')
-    settle: float = parameter(
-        1.0, low=0.0, high=60.0, unit='s',
-        description='How long the twist stays zero before the motion, while the middleware gets '
-                    'used to the new node, and after it.')
-
-    def __post_init__(self) -> None:
-        """Check every value."""
-        check(self)
 
 
 class ScenarioPlayer(process.EndableNode):
@@ -63,6 +30,8 @@ class ScenarioPlayer(process.EndableNode):
         """
         super().__init__('scenario_player')
         settings = declare(self, PlayerParameters)
+        for sentence in unknown_parameters(self):
+            self.get_logger().warning(sentence)
         if not settings.scenario:
             raise ParameterError("parameter 'scenario' is empty; give a scenario file")
         self._scenario = load_scenario(resolve(settings.scenario))
