@@ -10,11 +10,15 @@ from __future__ import annotations
 import struct
 from typing import NamedTuple
 
-_ENCAPSULATION = 4  # bytes before the payload, which alignment does not count
-STAMP = _ENCAPSULATION
+from redundant_planner.cdr import byte_order, ENCAPSULATION, text
+from redundant_planner.core.errors import StateError
+
+STAMP = ENCAPSULATION
+# Most joints that a message is read with: two arms with hands have some sixty.
+MOST_JOINTS = 1000
 
 
-class LayoutError(ValueError):
+class LayoutError(StateError):
     """The bytes are no JointState, or its lists differ in length."""
 
 
@@ -50,41 +54,47 @@ def joint_layout(raw: bytes) -> JointLayout:
     """
     try:
         return _layout(raw)
-    except (struct.error, IndexError, UnicodeDecodeError) as error:
-        raise LayoutError(f'it is no JointState: {error}') from None
+    except LayoutError:
+        raise
+    except StateError as error:
+        raise LayoutError(f'the bytes are no JointState: {error}') from None
+    except struct.error:
+        raise LayoutError('the bytes are no JointState: they end too early') from None
 
 
 def _layout(raw: bytes) -> JointLayout:
-    order = '<' if raw[1] & 1 else '>'
+    order = byte_order(raw)
+    unsigned = struct.Struct(f'{order}I')
 
     def aligned(at: int, size: int) -> int:
-        return _ENCAPSULATION + -(-(at - _ENCAPSULATION) // size) * size
+        return ENCAPSULATION + -(-(at - ENCAPSULATION) // size) * size
 
     def count(at: int) -> tuple[int, int]:
         at = aligned(at, 4)
-        return int(struct.unpack_from(order + 'I', raw, at)[0]), at + 4
+        return int(unsigned.unpack_from(raw, at)[0]), at + 4
 
     length, at = count(STAMP + 8)
-    fixed = [(1, 2), (at - 4, at)]  # the order of bytes, and the length of frame_id
+    fixed = [(0, 2), (at - 4, at)]  # the order of bytes, and the length of frame_id
     number, at = count(at + length)
     fixed.append((at - 4, at))
-    if number > len(raw):
-        raise LayoutError('it is no JointState')
+    if number > MOST_JOINTS:
+        raise LayoutError(f'it has {number} joint names; up to {MOST_JOINTS} are read')
     names = []
     for _ in range(number):
         length, at = count(at)
-        names.append(bytes(raw[at:at + length - 1]).decode())
+        names.append(text(raw, at, length))
         fixed.append((at - 4, at + length))
         at += length
-    offsets = []
-    for field in ('position', 'velocity'):
+    offsets = {}
+    for field in ('position', 'velocity', 'effort'):
         values, at = count(at)
         fixed.append((at - 4, at))
-        if values not in (0, number) or (field == 'position' and values != number):
+        if field == 'position' and values != number:
             raise LayoutError(f'{number} joint names came with {values} {field} values')
         at = aligned(at, 8) if values else at
-        offsets.append(at if values else 0)
+        offsets[field] = at if values == number > 0 else 0
         at += 8 * values
         if at > len(raw):
-            raise LayoutError('it ends too early')
-    return JointLayout(tuple(names), offsets[0], offsets[1], order, len(raw), tuple(fixed))
+            raise LayoutError('the bytes are no JointState: they end too early')
+    return JointLayout(tuple(names), offsets['position'], offsets['velocity'], order, len(raw),
+                       tuple(fixed))

@@ -90,7 +90,8 @@ class FakeHardwareParameters:
     initial_joints: tuple[str, ...] = parameter(
         (), description='Joints that do not start at 0.')
     initial_positions: tuple[float, ...] = parameter(
-        (), unit='rad, m', description='One start position per name in initial_joints.')
+        (), low=-1e6, high=1e6, unit='rad, m',
+        description='One start position per name in initial_joints.')
     lag: float = parameter(
         0.0, low=0.0, high=1.0, unit='s',
         description='Dead time between a command and the motion it causes.')

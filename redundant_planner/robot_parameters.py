@@ -74,16 +74,16 @@ class RobotParameters:
     locked_joints: tuple[str, ...] = parameter(
         (), description='Joints held still at locked_positions.')
     locked_positions: tuple[float, ...] = parameter(
-        (), unit='rad, m', description='One position per locked joint.')
+        (), low=-1e6, high=1e6, unit='rad, m', description='One position per locked joint.')
     lock_where_measured: bool = parameter(
         False, description='Whether planner_node holds the other joints outside the chain where '
                            'joint_states says that they are when it starts, rather than at 0: '
                            'grippers and second arms that nobody moves meanwhile.')
     velocity_max: tuple[float, ...] = parameter(
-        (), low=1e-6, unit='rad/s, m/s',
+        (), low=1e-6, high=1e4, unit='rad/s, m/s',
         description="Replaces the URDF's velocity limits: one value, or one per joint.")
     acceleration_max: tuple[float, ...] = parameter(
-        (5.0,), low=1e-6, unit='rad/s², m/s²',
+        (5.0,), low=1e-6, high=1e6, unit='rad/s², m/s²',
         description='Largest joint acceleration: one value, or one per joint. Higher than the '
                     'drives can follow, and the arm overshoots limits and clearances.')
     link_shapes: str = parameter(

@@ -11,7 +11,10 @@ from dataclasses import dataclass, Field, field, fields
 import math
 from typing import Any, NamedTuple
 
-from redundant_planner.core.errors import known, ParameterError
+from redundant_planner.core.errors import known, ParameterError, shown
+
+# What ROS and YAML writers hold in 64 bits.
+_LARGEST_INTEGER = 2**63
 
 
 class Spec(NamedTuple):
@@ -70,7 +73,7 @@ def checked(entry: Field[Any], value: Any) -> Any:
     if not isinstance(entry.default, tuple):
         return _scalar(entry.name, spec, type(entry.default), value)
     if isinstance(value, str) or not isinstance(value, Iterable):
-        raise ParameterError(f"parameter '{entry.name}' is {value!r}; it must be a list")
+        raise ParameterError(f"parameter '{entry.name}' is {shown(value)}; it must be a list")
     items = tuple(value)
     if spec.size and len(items) != spec.size:
         raise ParameterError(
@@ -80,7 +83,8 @@ def checked(entry: Field[Any], value: Any) -> Any:
 
 
 def _scalar(name: str, spec: Spec, kind: type, value: Any) -> Any:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and (
+        isinstance(value, float) or abs(value) < _LARGEST_INTEGER)
     fits, wanted = {
         bool: (isinstance(value, bool), 'true or false'),
         int: (number and value == value // 1, 'a whole number'),
@@ -88,14 +92,14 @@ def _scalar(name: str, spec: Spec, kind: type, value: Any) -> Any:
         str: (isinstance(value, str), 'a string'),
     }[kind]
     if not fits:
-        raise ParameterError(f"parameter '{name}' is {value!r}; it must be {wanted}")
+        raise ParameterError(f"parameter '{name}' is {shown(value)}; it must be {wanted}")
     value = kind(value)
     if kind in (int, float) and not spec.low <= value <= spec.high:
         raise ParameterError(f"parameter '{name}' is {value}; it must lie in "
                              f'[{spec.low:g}, {spec.high:g}] {spec.unit}'.rstrip())
     if spec.choices and value not in spec.choices:
         raise ParameterError(
-            f"parameter '{name}' is '{value}'; it must be one of {known(spec.choices)}")
+            f"parameter '{name}' is {shown(value)}; it must be one of {known(spec.choices)}")
     return value
 
 
@@ -119,7 +123,7 @@ class PlannerParameters:
                     'or so that the joint path over the horizon becomes the shortest '
                     '(variational).')
     k_fixed: float = parameter(
-        2.1e-5, low=0.0, runtime=True,
+        2.1e-5, low=0.0, high=1e6, runtime=True,
         description='Factor k of Eq. 1 for gradient_projection. Too large and the arm oscillates '
                     'about the best posture, too small and it does not evade.')
     k_alpha: float = parameter(
@@ -128,19 +132,19 @@ class PlannerParameters:
                     'speed as a share of the least-norm speed. More of it gets past more '
                     'obstacles, on longer joint paths.')
     k_w: float = parameter(
-        30.0, low=0.0, runtime=True,
+        30.0, low=0.0, high=1e6, runtime=True,
         description='Weight of the clearance index H_w in Eq. 18: the larger, the sooner the arm '
                     'moves away from obstacles as fast as k_alpha lets it. With 0 nothing but '
                     'the safety filter minds them.')
     k_s: float = parameter(
-        0.0, low=0.0, runtime=True,
+        0.0, low=0.0, high=1e6, runtime=True,
         description='Weight of the joint-limit index H_s in Eq. 18. Large values keep joints '
                     'mid-range at the price of longer joint paths.')
     k_f: float = parameter(
-        1.0, low=0.0, runtime=True,
+        1.0, low=0.0, high=1e6, runtime=True,
         description='Weight of the shortest-path index H_f in Eq. 18.')
     k_m: float = parameter(
-        10.0, low=0.0, runtime=True,
+        10.0, low=0.0, high=1e6, runtime=True,
         description='Weight of the manipulability index next to a singularity: nothing at twice '
                     'singularity_margin, all of it at the margin. With 0 the arm stops in front '
                     'of singularities that its null space could have gone around.')
@@ -149,7 +153,7 @@ class PlannerParameters:
         description='What Eq. 7 is taken over: whole links, or the joints alone as the paper '
                     'does, which lets links pass through an obstacle.')
     clearance_smoothing: float = parameter(
-        0.5, low=0.0, unit='S', runtime=True,
+        0.5, low=0.0, high=1e3, unit='S', runtime=True,
         description='Width over which the minimum of Eq. 7 is blended between pairs; 0 is the '
                     'hard minimum, whose gradient jumps when the nearest pair changes.')
     influence_distance: float = parameter(
@@ -157,10 +161,10 @@ class PlannerParameters:
         description='Distance at which an obstacle begins to act on the null space; infinite is '
                     'Eq. 7 to the letter, where the farthest obstacle pushes hardest.')
     damping: float = parameter(
-        0.05, low=0.0, unit='m', runtime=True,
+        0.05, low=0.0, high=10.0, unit='m', runtime=True,
         description='Damping of the least-norm solution in a singularity.')
     damping_threshold: float = parameter(
-        0.03, low=0.0, unit='m', runtime=True,
+        0.03, low=0.0, high=10.0, unit='m', runtime=True,
         description='Smallest singular value of J below which damping sets in; 0 never damps.')
     look_ahead: float = parameter(
         1.5, low=0.0, high=10.0, unit='s', runtime=True,
@@ -191,13 +195,13 @@ class PlannerParameters:
         description='Feedback of the tip pose error; 0 integrates open-loop, as the paper does, '
                     'and drifts. Above a tenth of the rate it oscillates.')
     drift_speed: float = parameter(
-        0.1, low=0.0, unit='m/s', runtime=True,
+        0.1, low=0.0, high=100.0, unit='m/s', runtime=True,
         description='Largest speed at which a position error is taken back.')
     drift_angular_speed: float = parameter(
-        0.5, low=0.0, unit='rad/s', runtime=True,
+        0.5, low=0.0, high=100.0, unit='rad/s', runtime=True,
         description='Largest speed at which an orientation error is taken back.')
     drift_distance: float = parameter(
-        0.3, low=0.0, unit='m', runtime=True,
+        0.3, low=0.0, high=100.0, unit='m', runtime=True,
         description='Larger position errors are forgotten: an arm that was held back or pushed '
                     'further away than this does not come all the way back by itself.')
     drift_angle: float = parameter(

@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from geometry_msgs.msg import Twist, TwistStamped
 import numpy as np
 import numpy.typing as npt
-from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from redundant_planner.core.errors import known, StateError
 from redundant_planner.core.horizon import Preview, TwistAhead
 from redundant_planner.nodes import messages
+from redundant_planner.nodes.preview_reader import read_preview
 
 Array = npt.NDArray[np.float64]
 
 # How far in the future a stamp may lie before it must come from another clock [s].
 _FUTURE = 0.1
+# How long before its beginning a preview may come [s].
+_ANNOUNCED = 3600.0
 
 
 class CommandInput:
@@ -88,17 +89,24 @@ class CommandInput:
         """Return where in the preview `ahead` last began [s]."""
         return self._ahead_at
 
-    def on_twist(self, message: Twist) -> None:
-        """Take a twist in command axes."""
-        self._take(message, self._command_frame)
+    def on_twist(self, raw: bytes) -> None:
+        """Take a serialised Twist, in command axes."""
+        try:
+            self._take(messages.twist_from_bytes(raw), self._command_frame)
+        except StateError as error:
+            self._warn(f'cmd_vel ignored: {error}')
 
-    def on_twist_stamped(self, message: TwistStamped) -> None:
-        """Take a twist that says its frame and when it was meant.
+    def on_twist_stamped(self, raw: bytes) -> None:
+        """Take a serialised TwistStamped, which says its frame and when it was meant.
 
         No stamp counts as now; one that is too old for the loop to have waited for, or from a
         clock that runs ahead, is refused, so that a mismatch of clocks cannot move the arm.
         """
-        stamp = messages.seconds_of(message.header.stamp)
+        try:
+            stamp, name, twist = messages.stamped_twist_from_bytes(raw)
+        except StateError as error:
+            self._warn(f'cmd_vel ignored: {error}')
+            return
         if stamp == 0.0 and not self._unstamped:
             self._unstamped = True
             self._warn('cmd_vel has no stamp: it counts as now (said once)')
@@ -109,32 +117,35 @@ class CommandInput:
                        f'cmd_vel ignored: its stamp lies {-late:.3f} s in the future; do sender '
                        'and planner use the same clock (use_sim_time)?')
             return
-        name = message.header.frame_id
         if name and name not in self._frames:
-            self._warn(f"cmd_vel ignored: it is given in frame '{name}'; it must be in "
+            self._warn(f'cmd_vel ignored: it is given in frame {name!r}; it must be in '
                        f'{known(self._frames)}')
             return
-        self._take(message.twist, self._frames.get(name, self._command_frame), late)
+        self._take(twist, self._frames.get(name, self._command_frame), late)
 
-    def _take(self, message: Twist, frame: str, late: float = 0.0) -> None:
-        try:
-            self._twist = messages.twist_from_message(message)
-        except StateError as error:
-            self._warn(f'cmd_vel ignored: {error}')
-            return
+    def _take(self, twist: Array, frame: str, late: float = 0.0) -> None:
+        self._twist = twist
         self._time = self._clock() - max(late, 0.0)
         self.frame = frame
 
-    def on_preview(self, message: MultiDOFJointTrajectory) -> None:
-        """Take what will be commanded, from the message's stamp on."""
+    def on_preview(self, raw: bytes) -> None:
+        """Take a serialised preview: what will be commanded, from the message's stamp on.
+
+        One that begins too late or is over already counts, but is not looked at.
+        """
         try:
-            self._preview = messages.preview_from_message(message)
-            self.previews += 1
+            stamp, preview = read_preview(raw)
         except StateError as error:
             self._warn(f'cmd_vel_preview ignored: {error}')
             return
-        stamp = messages.seconds_of(message.header.stamp)
-        self._preview_start = self._clock() - (self._ros_time() - stamp if stamp else 0.0)
+        late = self._ros_time() - stamp if stamp else 0.0
+        self.previews += 1
+        self._preview, self._preview_start = preview, self._clock() - late
+        if not -_ANNOUNCED <= late <= preview.times[-1]:
+            self._preview = None
+            self._warn(f'cmd_vel_preview ignored: by its stamp it begins {-late:.3f} s from now '
+                       f'and ends {preview.times[-1] - late:.3f} s from now; do sender and '
+                       'planner use the same clock (use_sim_time)?')
 
 
 def sender_names(publishers: list[Any]) -> list[str]:

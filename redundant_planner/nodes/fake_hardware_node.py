@@ -17,7 +17,7 @@ from redundant_planner.core.joint_motion import joint_ranges, SimulatedArm
 from redundant_planner.node_parameters import FakeHardwareParameters
 from redundant_planner.nodes import messages, process
 from redundant_planner.nodes.joint_messages import JointWriter
-from redundant_planner.nodes.ros_parameters import declare
+from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
 from redundant_planner.robot_parameters import RobotParameters, urdf_text
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +35,8 @@ class FakeHardwareNode(process.EndableNode):
         super().__init__('fake_hardware_node')
         robot = declare(self, RobotParameters)
         settings = declare(self, FakeHardwareParameters)
+        for sentence in unknown_parameters(self):
+            self.get_logger().warning(sentence)
         urdf = urdf_text(robot)
         if not urdf:
             raise ParameterError("parameter 'urdf' is empty; give the URDF to simulate")

@@ -6,16 +6,15 @@ Making a message and taking it apart again takes rclpy 100 µs, a tenth of a cor
 from __future__ import annotations
 
 from collections.abc import Sequence
-import math
 import struct
 
 import numpy as np
 import numpy.typing as npt
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from redundant_planner.joint_layout import joint_layout, JointLayout, LayoutError, STAMP
-from redundant_planner.nodes.messages import NANOSECONDS, positions_from_message
+from redundant_planner.joint_layout import joint_layout, JointLayout, STAMP
+from redundant_planner.nodes.messages import LARGEST, NANOSECONDS, values_of
 
 Array = npt.NDArray[np.float64]
 
@@ -35,25 +34,23 @@ class JointReader:
         """Return the positions (n,) in a CDR-serialised JointState [rad, m].
 
         Raises:
-            StateError: as `positions_from_message`.
+            StateError: the bytes are no JointState, or as `values_of`.
         """
         if self._layout is None or not self._layout.fits(raw, self._known):
             return self._learnt(raw)
         values = self._numbers.unpack_from(raw, self._layout.positions)
         q = [values[i] for i in self._index]
-        if not all(map(math.isfinite, q)):
-            return self._learnt(raw)
+        if not all(-LARGEST <= value <= LARGEST for value in q):
+            return values_of(self._layout.names, values, self._names, 'position')
         return np.array(q)
 
     def _learnt(self, raw: bytes) -> Array:
         """Read a message the long way, which says what is wrong, and remember its layout."""
-        q = positions_from_message(deserialize_message(raw, JointState), self._names)
-        try:
-            layout = joint_layout(raw)
-        except LayoutError:
-            return q
-        self._known, self._layout = bytes(raw), layout
-        self._numbers = struct.Struct(f'{layout.order}{len(layout.names)}d')
+        layout = joint_layout(raw)
+        numbers = struct.Struct(f'{layout.order}{len(layout.names)}d')
+        values = numbers.unpack_from(raw, layout.positions)
+        q = values_of(layout.names, values, self._names, 'position')
+        self._known, self._layout, self._numbers = bytes(raw), layout, numbers
         self._index = [layout.names.index(name) for name in self._names]
         return q
 

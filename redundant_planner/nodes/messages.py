@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+import struct
 
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Twist
@@ -12,6 +14,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
+from redundant_planner.cdr import byte_order, ENCAPSULATION, text
 from redundant_planner.core.errors import known, StateError
 from redundant_planner.core.horizon import Preview
 from redundant_planner.core.obstacles import Obstacle
@@ -19,6 +22,11 @@ from redundant_planner.core.obstacles import Obstacle
 Array = npt.NDArray[np.float64]
 
 NANOSECONDS = 1_000_000_000
+# Entries of a twist beyond this were not meant, whatever linear_speed_max slows them to
+# [m/s, rad/s].
+FASTEST = 1e3
+# Positions and velocities of joints beyond this were not measured [rad, m; per s].
+LARGEST = 1e6
 
 
 def seconds_of(stamp: Time | Duration) -> float:
@@ -26,17 +34,60 @@ def seconds_of(stamp: Time | Duration) -> float:
     return float(stamp.sec + stamp.nanosec / NANOSECONDS)
 
 
-def twist_from_message(message: Twist) -> Array:
-    """Return (6,) [vx vy vz wx wy wz].
+def checked_twist(twist: Array) -> Array:
+    """Return a twist (6,) that can be meant.
 
     Raises:
-        StateError: an entry is not finite.
+        StateError: an entry is not finite or beyond `FASTEST`.
     """
-    linear, angular = message.linear, message.angular
-    twist = np.array([linear.x, linear.y, linear.z, angular.x, angular.y, angular.z])
-    if not np.isfinite(twist).all():
-        raise StateError(f'twist is {twist.tolist()}; all six entries must be finite')
+    if not (np.abs(twist) <= FASTEST).all():
+        raise StateError(f'twist is {twist.tolist()}; all six entries must be finite, up to '
+                         f'{FASTEST:g} m/s and rad/s')
     return twist
+
+
+def twist_from_bytes(raw: bytes) -> Array:
+    """Return (6,) [vx vy vz wx wy wz] of a serialised geometry_msgs/Twist.
+
+    Raises:
+        StateError: the bytes are no Twist, or `checked_twist`.
+    """
+    return _twist_at(raw, byte_order(raw), ENCAPSULATION)
+
+
+def stamped_twist_from_bytes(raw: bytes) -> tuple[float, str, Array]:
+    """Return stamp [s], frame and twist (6,) of a serialised geometry_msgs/TwistStamped.
+
+    Raises:
+        StateError: the bytes are no TwistStamped, or `checked_twist`.
+    """
+    order = byte_order(raw)
+    stamp, frame, end = header_of(raw, order)
+    return stamp, frame, _twist_at(raw, order, ENCAPSULATION + -(-end // 8) * 8)
+
+
+def header_of(raw: bytes, order: str) -> tuple[float, str, int]:
+    """Return stamp [s] and frame of the header that a message begins with.
+
+    Returns:
+        Stamp, frame, and where in the payload the header ends.
+
+    Raises:
+        StateError: the bytes end before.
+    """
+    try:
+        seconds, nanoseconds, length = struct.unpack_from(f'{order}iII', raw, ENCAPSULATION)
+    except struct.error:
+        raise StateError('the bytes end within the header') from None
+    return seconds + nanoseconds / NANOSECONDS, text(raw, ENCAPSULATION + 12, length), 12 + length
+
+
+def _twist_at(raw: bytes, order: str, at: int) -> Array:
+    try:
+        numbers = struct.unpack_from(f'{order}6d', raw, at)
+    except struct.error:
+        raise StateError(f'the bytes end within the twist: there are {len(raw)}') from None
+    return checked_twist(np.array(numbers))
 
 
 def twist_to_message(twist: npt.ArrayLike) -> Twist:
@@ -46,21 +97,6 @@ def twist_to_message(twist: npt.ArrayLike) -> Twist:
     message.linear.x, message.linear.y, message.linear.z = values[:3]
     message.angular.x, message.angular.y, message.angular.z = values[3:]
     return message
-
-
-def preview_from_message(message: MultiDOFJointTrajectory) -> Preview:
-    """Return the twists ahead; each point has its time and one velocity.
-
-    Raises:
-        StateError: a point has no or several velocities, or the numbers make no preview.
-    """
-    for i, point in enumerate(message.points):
-        if len(point.velocities) != 1:
-            raise StateError(f'point {i} of the preview has {len(point.velocities)} velocities; '
-                             'it takes one, of the tip')
-    times = [seconds_of(point.time_from_start) for point in message.points]
-    twists = [twist_from_message(p.velocities[0]) for p in message.points]
-    return Preview(np.array(times), np.array(twists).reshape(-1, 6))
 
 
 def preview_to_message(preview: Preview) -> MultiDOFJointTrajectory:
@@ -76,38 +112,46 @@ def preview_to_message(preview: Preview) -> MultiDOFJointTrajectory:
 
 
 def positions_from_message(message: JointState, joint_names: Sequence[str]) -> Array:
-    """Return the positions (n,) of the named joints, whatever their order in the message.
-
-    Joints that are not asked for are ignored.
-
-    Raises:
-        StateError: a joint is missing or appears twice, lengths differ, or a value is not finite.
-    """
-    return _values_of(message, joint_names, message.position, 'position')
+    """Return the positions (n,) of the named joints; errors as `values_of`."""
+    return values_of(message.name, message.position, joint_names, 'position')
 
 
 def velocities_from_message(message: JointState, joint_names: Sequence[str]) -> Array:
-    """Return the velocities (n,) of the named joints; errors as `positions_from_message`."""
-    return _values_of(message, joint_names, message.velocity, 'velocity')
+    """Return the velocities (n,) of the named joints; errors as `values_of`."""
+    return values_of(message.name, message.velocity, joint_names, 'velocity')
 
 
-def _values_of(
-    message: JointState, joint_names: Sequence[str], values: Sequence[float], field: str,
+def values_of(
+    names: Sequence[str], values: Sequence[float], joint_names: Sequence[str], field: str,
 ) -> Array:
-    names = message.name
+    """Return the values (n,) of the joints asked for, whatever their order in a message.
+
+    Joints that are not asked for are ignored.
+
+    Args:
+        names, values: of the message.
+        joint_names: asked for.
+        field: what the values are, for messages.
+
+    Raises:
+        StateError: a joint is missing or appears twice, lengths differ, or a value is not finite
+            or beyond `LARGEST`.
+    """
     if len(values) != len(names):
         raise StateError(f'{len(names)} joint names came with {len(values)} {field} values')
     index = {name: i for i, name in enumerate(names)}
     if len(index) != len(names):
-        twice = sorted({name for name in names if names.count(name) > 1})
+        twice = sorted(name for name, count in Counter(names).items() if count > 1)
         raise StateError(f'joint names appear twice: {known(twice)}')
     missing = [name for name in joint_names if name not in index]
     if missing:
         raise StateError(f'joints are missing: {known(missing)}; the message has {known(names)}')
     result = np.array([values[index[name]] for name in joint_names])
-    if not np.isfinite(result).all():
-        name = joint_names[int(np.argmin(np.isfinite(result)))]
-        raise StateError(f"{field} of joint '{name}' is {values[index[name]]}")
+    usable = np.abs(result) <= LARGEST
+    if not usable.all():
+        name = joint_names[int(np.argmin(usable))]
+        raise StateError(f"{field} of joint '{name}' is {values[index[name]]}; it must be finite, "
+                         f'up to {LARGEST:g}')
     return result
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import compress, count, islice
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +28,7 @@ from redundant_planner.nodes.marker_reader import (
     CYLINDER,
     DELETE,
     DELETEALL,
+    Listing,
     MarkerReader,
     Markers,
     SPHERE,
@@ -35,19 +38,51 @@ Array = npt.NDArray[np.float64]
 # A frame's origin (3,) and axes (3, 3) in the base frame.
 Transform = tuple[Array, Array]
 
-# Half extents → semi-axes of the smallest ellipsoid around the shape.
-_ENCLOSING = {
-    SPHERE: (1.0, 1.0, 1.0),
-    CUBE: (math.sqrt(3.0),) * 3,
-    CYLINDER: (math.sqrt(1.5), math.sqrt(1.5), math.sqrt(3.0)),
-}
+# Obstacles that markers may have brought at any time.
+MOST_OBSTACLES = 20_000
+# Frames besides the base's that the markers of one message may be given in.
+MOST_FRAMES = 20
+# Coordinates and full extents of an obstacle [m]. Beyond them it was not meant, and the squares
+# that clearances are made of would leave the range of numbers.
+FARTHEST = 1e6
+SMALLEST, LARGEST = 1e-6, 1e6
+
+# Half extents → semi-axes of the smallest ellipsoid around the shape, by the marker's type.
+_ENCLOSING = np.full((4, 3), np.nan)
+_ENCLOSING[SPHERE] = 1.0
+_ENCLOSING[CUBE] = math.sqrt(3.0)
+_ENCLOSING[CYLINDER] = math.sqrt(1.5), math.sqrt(1.5), math.sqrt(3.0)
 _QUATERNION_TOLERANCE = 0.01
 # An obstacle that seems faster than this was moved, not moving [m/s].
 _FASTEST = 3.0
-# An obstacle that nothing was heard of for this long stands still [s].
+# Stamps that are closer than this belong to one measurement: noise divided by less is any
+# velocity [s].
+_CLOSEST = 1e-3
+# An obstacle that nothing was heard of for this long stands still; a stamp that is older than the
+# last one by more is of a clock that was set back [s].
 _STILL_AFTER = 0.3
 # Problems of one message that are spelt out.
 _SPELT_OUT = 3
+# What may be wrong with an obstacle's numbers, see `_faults`.
+_GOOD, _BAD_SCALE, _BAD_PLACE, _BAD_TURN, _BAD_LIFETIME = range(5)
+
+
+class _Known(NamedTuple):
+    """Where in the book the obstacles of a message stand that gave all of them a place.
+
+    It holds for later messages with the same listing, until an obstacle comes or goes.
+
+    Attributes:
+        listing: of the message.
+        first: the first marker after the last DELETEALL.
+        rows: (k,) of the markers from there on, all of them ADD.
+        factors: (k, 3) half extents → semi-axes.
+    """
+
+    listing: Listing
+    first: int
+    rows: npt.NDArray[np.intp]
+    factors: Array
 
 
 class ObstacleBook:
@@ -74,6 +109,7 @@ class ObstacleBook:
         self._transform = transform
         self.estimate_velocity = estimate_velocity
         self._index: dict[tuple[str, int], int] = {}
+        self._names: tuple[str, ...] = ()
         self._centers: Array = np.empty((0, 3))
         self._rotations: Array = np.empty((0, 3, 3))
         self._semi_axes: Array = np.empty((0, 3))
@@ -81,12 +117,8 @@ class ObstacleBook:
         self._stamps: Array = np.empty(0)
         self._heard: Array = np.empty(0)
         self._expiry: Array = np.empty(0)
-        self._names: tuple[str, ...] = ()
         self._reader = MarkerReader()
-        # The ids of a message that only gave places to known obstacles, see `MarkerReader`.
-        self._same_ids: npt.NDArray[np.intp] | None = None
-        self._rows: npt.NDArray[np.intp] = np.empty(0, dtype=np.intp)
-        self._factors: Array = np.empty((0, 3))
+        self._known: _Known | None = None
         self._changed = False
         self._next_change = np.inf
         self.scene = Scene.of()
@@ -94,12 +126,16 @@ class ObstacleBook:
 
     @property
     def static(self) -> tuple[Obstacle, ...]:
-        """The obstacles that no marker removes; assigning replaces them."""
+        """The obstacles that no marker removes; assigning replaces them.
+
+        Raises:
+            ObstacleError: as `checked`; nothing has changed then.
+        """
         return self._static
 
     @static.setter
     def static(self, obstacles: Iterable[Obstacle]) -> None:
-        self._static = tuple(obstacles)
+        self._static = checked(obstacles)
         self._static_scene = Scene.of(self._static)
         self._changed = True
         self._rebuild()
@@ -116,38 +152,61 @@ class ObstacleBook:
             markers = self._reader.read(raw)
         except StateError as error:
             return [f'obstacles: {error}']
-        if markers.ids is self._same_ids and _usable(
-                markers.positions, markers.quaternions, markers.scales):
-            # The same obstacles as last time, somewhere else.
+        if self._known is None or markers.listing is not self._known.listing or _faults(
+                markers.positions, markers.quaternions, markers.scales, markers.lifetimes,
+                self._known.first).any():
+            problems = self._apply(markers, now)
+        else:
+            # The same obstacles as before, somewhere else.
+            known, problems = self._known, []
+            if known.first:
+                self._forget(slice(None))
+            part = slice(known.first, None)
             self._take_over(
-                markers.positions, rotations(markers.quaternions),
-                0.5 * markers.scales * self._factors, markers.stamps, markers.lifetimes,
-                self._rows, now)
-            self._rebuild()
-            return []
-        self._same_ids, self._rows = None, np.empty(0, dtype=np.intp)
-        problems: list[str] = []
-        # Markers of one action after another, in the message's order.
-        edges = np.flatnonzero(np.diff(markers.actions)) + 1
-        for begin, end in zip((0, *edges), (*edges, len(markers.ids))):
-            if begin == end:
-                continue
-            action, part = int(markers.actions[begin]), slice(begin, end)
-            if action == DELETEALL:
-                self._keep(np.zeros(len(self._index), dtype=bool))
-            elif action == DELETE:
-                self._delete(markers, part)
-            elif action == ADD:
-                problems += self._add(markers, part, now)
-            else:
-                problems.append(f"obstacle '{_name(markers, begin)}' has action {action}; it "
-                                'must be ADD, DELETE or DELETEALL')
+                np.zeros(len(known.rows), np.intp), markers.positions[part],
+                rotations(markers.quaternions[part]), 0.5 * markers.scales[part] * known.factors,
+                markers.stamps[part], markers.lifetimes[part], known.rows, now)
         self._rebuild()
-        if not problems and len(edges) == 0 and len(self._rows) == len(markers.ids) and all(
-                frame in self._frames for frame in set(markers.frames)):
-            self._same_ids = markers.ids
-        if len(problems) > _SPELT_OUT:
-            problems[_SPELT_OUT:] = [f'{len(problems) - _SPELT_OUT} more obstacles like that']
+        return problems
+
+    def _apply(self, markers: Markers, now: float) -> list[str]:
+        """Apply markers that may do anything to any obstacle; return what was wrong."""
+        listing = markers.listing
+        actions = listing.actions
+        centers, turns = markers.positions.copy(), rotations(markers.quaternions)
+        reasons = self._into_base(listing, centers, turns)
+        shaped = (listing.types >= CUBE) & (listing.types <= CYLINDER)
+        faults = _faults(centers, markers.quaternions, markers.scales, markers.lifetimes, 0)
+        good = (actions == ADD) & shaped & (faults == _GOOD)
+        if reasons:
+            good &= np.array([frame not in reasons for frame in listing.frames])
+        bad = np.flatnonzero(~good & (actions != DELETE) & (actions != DELETEALL))
+        problems = [_problem(markers, place, faults[place], reasons)
+                    for place in bad[:_SPELT_OUT].tolist()]
+        if len(bad) > _SPELT_OUT:
+            problems.append(f'{len(bad) - _SPELT_OUT} more obstacles like that')
+
+        # What comes before the last DELETEALL leaves no trace.
+        first = int(np.flatnonzero(actions == DELETEALL).max(initial=-1)) + 1
+        if first:
+            self._keep(np.zeros(len(self._index), dtype=bool))
+        acting = good | (actions == DELETE)
+        acting[:first] = False
+        places = np.flatnonzero(acting)
+        rows, lost = self._rows_of(listing, places, good[places])
+        if lost:
+            problems.append(f'{lost} obstacles are too many: up to {MOST_OBSTACLES} are kept in '
+                            'mind')
+        places, rows = places[rows >= 0], rows[rows >= 0]
+        factors = _ENCLOSING[np.where(shaped, listing.types, 0)[places]]
+        self._take_over(
+            actions[places], centers[places], turns[places],
+            0.5 * markers.scales[places] * factors, markers.stamps[places],
+            markers.lifetimes[places], rows, now)
+        self._keep(self._expiry > -np.inf)
+        if good[first:].all() and len(rows) == len(actions) - first and all(
+                frame in self._frames for frame in set(listing.frames)):
+            self._known = _Known(listing, first, rows, factors)
         return problems
 
     def expire(self, now: float) -> None:
@@ -166,124 +225,94 @@ class ObstacleBook:
         self._next_change = min(float(self._expiry.min(initial=np.inf)),
                                 float(still_moving.min(initial=np.inf)) + _STILL_AFTER + 1e-6)
 
-    def _add(self, markers: Markers, part: slice, now: float) -> list[str]:
-        """Take in markers; return what was wrong with those left out."""
-        places = np.arange(part.start, part.stop)
-        good, problems = self._checked(markers, places)
-        places = places[good]
-        centers, turns = markers.positions[places], rotations(markers.quaternions[places])
-        factors = np.array([_ENCLOSING[kind] for kind in markers.types[places].tolist()])
-        centers, turns, good, unknown = self._in_base(markers, places, centers, turns)
-        problems += unknown
-        places, self._factors = places[good], factors.reshape(-1, 3)[good]
-        if not len(places):
-            return problems
-
-        namespaces, ids = markers.namespaces, markers.ids.tolist()
-        keys = [(namespaces[i], ids[i]) for i in places.tolist()]
-        fresh = list(dict.fromkeys(key for key in keys if key not in self._index))
-        self._grow(fresh)
-        self._rows = np.array([self._index[key] for key in keys])
-        self._take_over(
-            centers[good], turns[good], 0.5 * markers.scales[places] * self._factors,
-            markers.stamps[places], markers.lifetimes[places], self._rows, now)
-        return problems
-
     def _take_over(
-        self, centers: Array, turns: Array, semi_axes: Array, stamps: Array, lifetimes: Array,
-        rows: npt.NDArray[np.intp], now: float,
+        self, actions: npt.NDArray[np.intp], centers: Array, turns: Array, semi_axes: Array,
+        stamps: Array, lifetimes: Array, rows: npt.NDArray[np.intp], now: float,
     ) -> None:
         """Write what was seen into the rows it belongs to."""
         changed, soonest = _take_over(
-            centers, turns, semi_axes, stamps, lifetimes, rows, now, self.estimate_velocity,
-            self._centers, self._rotations, self._semi_axes, self._velocities, self._stamps,
-            self._heard, self._expiry)
+            actions, centers, turns, semi_axes, stamps, lifetimes, rows, now,
+            self.estimate_velocity, self._centers, self._rotations, self._semi_axes,
+            self._velocities, self._stamps, self._heard, self._expiry)
         self._changed = self._changed or changed
         self._next_change = min(self._next_change, soonest)
 
-    def _checked(
-        self, markers: Markers, places: npt.NDArray[np.intp],
-    ) -> tuple[npt.NDArray[np.bool_], list[str]]:
-        """Return which markers are ellipsoids, and a sentence about each of the others."""
-        types = markers.types[places]
-        shaped = np.isin(types, list(_ENCLOSING))
-        scales = markers.scales[places]
-        sized = np.asarray((np.isfinite(scales) & (scales > 0.0)).all(axis=1))
-        placed = np.asarray(np.isfinite(markers.positions[places]).all(axis=1))
-        norms = np.linalg.norm(markers.quaternions[places], axis=1)
-        turned = np.abs(norms - 1.0) <= _QUATERNION_TOLERANCE
-        good = shaped & sized & placed & turned
-        problems = []
-        for i in np.flatnonzero(~good).tolist():
-            place = int(places[i])
-            if not shaped[i]:
-                what = (f'is a marker of type {types[i]}; it must be SPHERE ({SPHERE}), '
-                        f'CUBE ({CUBE}) or CYLINDER ({CYLINDER})')
-            elif not sized[i]:
-                what = f'has scale {scales[i].tolist()}; all three must be positive [m]'
-            elif not placed[i]:
-                what = f'is at {markers.positions[place].tolist()}; it takes finite numbers'
-            else:
-                what = (f'has the orientation quaternion {markers.quaternions[place].tolist()} of '
-                        f'length {norms[i]:.3g}; it must be 1')
-            problems.append(f"obstacle '{_name(markers, place)}' {what}")
-        return good, problems
+    def _into_base(self, listing: Listing, centers: Array, turns: Array) -> dict[str, str]:
+        """Turn places (k, 3) and axes (k, 3, 3) into those in the base frame.
 
-    def _in_base(
-        self, markers: Markers, places: npt.NDArray[np.intp], centers: Array, turns: Array,
-    ) -> tuple[Array, Array, npt.NDArray[np.bool_], list[str]]:
-        """Return the markers' places in the base frame, which of them have one, and why not."""
-        good = np.ones(len(places), dtype=bool)
-        problems: list[str] = []
-        frames = [markers.frames[i] for i in places.tolist()]
-        for frame in dict.fromkeys(frames):
-            if frame in self._frames:
-                continue
-            chosen = np.array([name == frame for name in frames])
+        Returns:
+            Frame → why nothing can be turned from there.
+        """
+        number = {frame: i for i, frame in enumerate(dict.fromkeys(listing.frames))}
+        foreign = [frame for frame in number if frame not in self._frames]
+        reasons = dict.fromkeys(foreign[MOST_FRAMES:], 'the markers of one message may be given '
+                                f'in up to {MOST_FRAMES} frames besides the base')
+        numbers = np.array([number[frame] for frame in listing.frames]) if foreign else None
+        for frame in foreign[:MOST_FRAMES]:
             try:
                 if self._transform is None:
                     raise ObstacleError(f'it must be in {known(self._frames)}')
                 origin, axes = self._transform(frame)
-                centers[chosen] = centers[chosen] @ axes.T + origin
-                turns[chosen] = axes @ turns[chosen]
             except ObstacleError as error:
-                good &= ~chosen
-                problems += [f"obstacle '{_name(markers, i)}' is given in frame '{frame}'; {error}"
-                             for i in places[chosen].tolist()]
-        return centers, turns, good, problems
+                reasons[frame] = str(error)
+                continue
+            chosen = numbers == number[frame]
+            centers[chosen] = centers[chosen] @ axes.T + origin
+            turns[chosen] = axes @ turns[chosen]
+        return reasons
 
-    def _grow(self, keys: list[tuple[str, int]]) -> None:
-        """Make room for obstacles not known so far."""
-        if not keys:
-            return
-        count = len(keys)
+    def _rows_of(
+        self, listing: Listing, places: npt.NDArray[np.intp], adds: npt.NDArray[np.bool_],
+    ) -> tuple[npt.NDArray[np.intp], int]:
+        """Return the rows of some markers' obstacles, making room for new ones that are added.
+
+        Returns:
+            (k,) rows, −1 for no obstacle, and for how many there was no room.
+        """
+        index, before, lost = self._index, len(self._index), 0
+        chosen = places.tolist()
+        names, ids = listing.namespaces, listing.ids[places].tolist()
+        rows = []
+        for name, number, add in zip([names[i] for i in chosen], ids, adds.tolist()):
+            row = index.get((name, number), -1)
+            if row < 0 and add:
+                if len(index) < MOST_OBSTACLES:
+                    index[name, number] = row = len(index)
+                else:
+                    lost += 1
+            rows.append(row)
+        if len(index) > before:
+            self._grow(len(index) - before)
+        return np.array(rows, dtype=np.intp), lost
+
+    def _grow(self, more: int) -> None:
+        """Make room for obstacles that the index has already."""
+        old = len(self._centers)
+        self._known = None
+        self._names += tuple([f'{name}/{number}' if name else str(number)
+                              for name, number in islice(self._index, old, None)])
+        self._centers = np.vstack((self._centers, np.empty((more, 3))))
+        self._rotations = np.concatenate((self._rotations, np.zeros((more, 3, 3))))
+        self._semi_axes = np.vstack((self._semi_axes, np.ones((more, 3))))
+        self._velocities = np.vstack((self._velocities, np.empty((more, 3))))
+        self._stamps = np.concatenate((self._stamps, np.empty(more)))
+        self._heard = np.concatenate((self._heard, np.zeros(more)))
+        self._expiry = np.concatenate((self._expiry, np.full(more, np.inf)))
+        self._forget(slice(old, None))
+
+    def _forget(self, rows: slice) -> None:
+        """Make obstacles look as if they had never been seen."""
+        self._centers[rows], self._velocities[rows], self._stamps[rows] = np.nan, 0.0, -np.inf
         self._changed = True
-        self._index.update({key: len(self._index) + i for i, key in enumerate(keys)})
-        self._names = tuple(_key_name(*key) for key in self._index)
-        self._centers = np.vstack((self._centers, np.full((count, 3), np.nan)))
-        self._rotations = np.concatenate((self._rotations, np.zeros((count, 3, 3))))
-        self._semi_axes = np.vstack((self._semi_axes, np.ones((count, 3))))
-        self._velocities = np.vstack((self._velocities, np.zeros((count, 3))))
-        self._stamps = np.concatenate((self._stamps, np.full(count, -np.inf)))
-        self._heard = np.concatenate((self._heard, np.zeros(count)))
-        self._expiry = np.concatenate((self._expiry, np.full(count, np.inf)))
-
-    def _delete(self, markers: Markers, part: slice) -> None:
-        keep = np.ones(len(self._index), dtype=bool)
-        for i in range(part.start, part.stop):
-            row = self._index.get((markers.namespaces[i], int(markers.ids[i])))
-            if row is not None:
-                keep[row] = False
-        self._keep(keep)
 
     def _keep(self, keep: npt.NDArray[np.bool_]) -> None:
         """Forget the obstacles that are not marked."""
         if keep.all():
             return
-        self._changed, self._same_ids = True, None
-        keys = [key for key, kept in zip(self._index, keep.tolist()) if kept]
-        self._index = {key: i for i, key in enumerate(keys)}
-        self._names = tuple(_key_name(*key) for key in keys)
+        self._changed, self._known = True, None
+        kept = keep.tolist()
+        self._index = dict(zip(compress(self._index, kept), count()))
+        self._names = tuple(compress(self._names, kept))
         for field in ('_centers', '_rotations', '_semi_axes', '_velocities', '_stamps', '_heard',
                       '_expiry'):
             setattr(self, field, getattr(self, field)[keep])
@@ -302,28 +331,88 @@ class ObstacleBook:
         self.scene = Scene(static.names + self._names, *arrays)
 
 
+def checked(obstacles: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
+    """Return obstacles that are within the bounds which hold for markers, too.
+
+    Raises:
+        ObstacleError: naming one that is too far away, too small or too large.
+    """
+    obstacles = tuple(obstacles)
+    scene = Scene.of(obstacles)
+    ahead = np.tile((0.0, 0.0, 0.0, 1.0), (len(obstacles), 1))
+    faults = _faults(scene.centers, ahead, 2.0 * scene.semi_axes, np.zeros(len(obstacles)), 0)
+    for i in np.flatnonzero(faults)[:1]:
+        raise ObstacleError(f'obstacle {scene.names[i]!r} ' + _fault_text(
+            int(faults[i]), scene.centers[i], ahead[i], 2.0 * scene.semi_axes[i], 0.0))
+    return obstacles
+
+
 @compiled
-def _usable(positions: Matrix, quaternions: Matrix, scales: Matrix) -> bool:
-    """Return whether all markers are at finite places, turned by unit quaternions, and sized."""
-    for i in range(len(positions)):
+def _faults(
+    positions: Matrix, quaternions: Matrix, scales: Matrix, lifetimes: Vector, first: int,
+) -> Indices:
+    """Return what is wrong with the numbers of obstacles, from the first one on that counts.
+
+    This is where all bounds on obstacles are: `FARTHEST`, `SMALLEST` and `LARGEST`.
+    """
+    faults = np.zeros(len(positions), np.intp)
+    for i in range(first, len(positions)):
         x, y, z, w = quaternions[i]
         norm = math.sqrt(x * x + y * y + z * z + w * w)
         if not abs(norm - 1.0) <= _QUATERNION_TOLERANCE:
-            return False
+            faults[i] = _BAD_TURN
+        if not lifetimes[i] >= 0.0:
+            faults[i] = _BAD_LIFETIME
         for axis in range(3):
-            if not (np.isfinite(positions[i, axis]) and 0.0 < scales[i, axis] < np.inf):
-                return False
-    return True
+            if not abs(positions[i, axis]) <= FARTHEST:
+                faults[i] = _BAD_PLACE
+        for axis in range(3):
+            if not SMALLEST <= scales[i, axis] <= LARGEST:
+                faults[i] = _BAD_SCALE
+    return faults
+
+
+def _fault_text(fault: int, center: Array, quaternion: Array, scale: Array, life: float) -> str:
+    """Return what follows an obstacle's name in the sentence about a fault."""
+    return {
+        _BAD_SCALE: f'has the scale (full axes) {scale.tolist()}; all three must be positive, '
+                    f'from {SMALLEST:g} to {LARGEST:g} m',
+        _BAD_PLACE: f'is at {center.tolist()}; it takes finite numbers up to {FARTHEST:g} m',
+        _BAD_TURN: f'has the orientation quaternion {quaternion.tolist()} of length '
+                   f'{math.hypot(*quaternion.tolist()):.3g}; it must be 1',
+        _BAD_LIFETIME: f'has a lifetime of {life:g} s; it must be positive, or 0 for unlimited',
+    }[fault]
+
+
+def _problem(markers: Markers, place: int, fault: int, reasons: dict[str, str]) -> str:
+    """Return the sentence about a marker that cannot be used."""
+    listing = markers.listing
+    kind, action, frame = listing.types[place], listing.actions[place], listing.frames[place]
+    namespace, number = listing.namespaces[place], listing.ids[place]
+    name = f'{namespace}/{number}' if namespace else str(number)
+    if action != ADD:
+        what = f'has action {action}; it must be ADD, DELETE or DELETEALL'
+    elif kind not in (SPHERE, CUBE, CYLINDER):
+        what = (f'is a marker of type {kind}; it must be SPHERE ({SPHERE}), CUBE ({CUBE}) or '
+                f'CYLINDER ({CYLINDER})')
+    elif frame in reasons:
+        what = f'is given in frame {frame!r}; {reasons[frame]}'
+    else:
+        what = _fault_text(fault, markers.positions[place], markers.quaternions[place],
+                           markers.scales[place], markers.lifetimes[place])
+    return f'obstacle {name!r} {what}'
 
 
 @compiled
 def _take_over(
-    centers: Matrix, turns: Stack, semi_axes: Matrix, stamps: Vector, lifetimes: Vector,
-    rows: Indices, now: float, estimate_velocity: bool, known_centers: OutMatrix,
-    known_turns: OutStack, known_semi_axes: OutMatrix, velocities: OutMatrix,
-    known_stamps: OutVector, heard: OutVector, expiry: OutVector,
+    actions: Indices, centers: Matrix, turns: Stack, semi_axes: Matrix, stamps: Vector,
+    lifetimes: Vector, rows: Indices, now: float, estimate_velocity: bool,
+    known_centers: OutMatrix, known_turns: OutStack, known_semi_axes: OutMatrix,
+    velocities: OutMatrix, known_stamps: OutVector, heard: OutVector, expiry: OutVector,
 ) -> tuple[bool, float]:
-    """Write what was seen of obstacles into their rows.
+    """Write what was seen of obstacles into their rows, one after another.
+
+    Those that are deleted expire at −∞, and look as if they had never been seen.
 
     Returns:
         Whether anything is new, and when an obstacle ends or falls silent at the earliest [s].
@@ -331,15 +420,23 @@ def _take_over(
     changed, soonest = False, np.inf
     for i in range(len(rows)):
         row = rows[i]
+        if actions[i] == DELETE:
+            for axis in range(3):
+                known_centers[row, axis], velocities[row, axis] = np.nan, 0.0
+            known_stamps[row], expiry[row] = -np.inf, -np.inf
+            changed = True
+            continue
         stamp = stamps[i] if stamps[i] > 0.0 else now
         elapsed = stamp - known_stamps[row]
-        if estimate_velocity and elapsed > 0.0:  # else it is the same measurement once more
+        restarted = elapsed < -_STILL_AFTER
+        measured = elapsed >= _CLOSEST or restarted  # else it is the same measurement once more
+        if estimate_velocity and measured:
             velocity, squared = np.zeros(3), 0.0
             for axis in range(3):
-                velocity[axis] = (
-                    centers[i, axis] - known_centers[row, axis]) / max(elapsed, 1e-9)
+                velocity[axis] = (centers[i, axis] - known_centers[row, axis]) / elapsed
                 squared += velocity[axis] ** 2
-            moving = squared < _FASTEST ** 2  # not so where it was never seen before: NaN
+            # Not so where it was never seen before: NaN.
+            moving = squared < _FASTEST ** 2 and not restarted
             for axis in range(3):
                 speed = velocity[axis] if moving else 0.0
                 changed = changed or speed != velocities[row, axis]
@@ -352,18 +449,11 @@ def _take_over(
             for other in range(3):
                 changed = changed or turns[i, axis, other] != known_turns[row, axis, other]
                 known_turns[row, axis, other] = turns[i, axis, other]
-        known_stamps[row], heard[row] = stamp, now
+        if measured:
+            known_stamps[row] = stamp
+        heard[row] = now
         expiry[row] = now + lifetimes[i] if lifetimes[i] > 0.0 else np.inf
         soonest = min(soonest, expiry[row])
         if velocities[row].any():
             soonest = min(soonest, now + _STILL_AFTER + 1e-6)
     return changed, soonest
-
-
-def _key_name(namespace: str, number: int) -> str:
-    return f'{namespace}/{number}' if namespace else str(number)
-
-
-def _name(markers: Markers, place: int) -> str:
-    """Return a marker's identity as people read it: its namespace and number."""
-    return _key_name(markers.namespaces[place], int(markers.ids[place]))

@@ -47,8 +47,15 @@ from redundant_planner.nodes.last_word import (
     SUFFIX,
 )
 from redundant_planner.nodes.messages import NANOSECONDS
-from redundant_planner.nodes.obstacle_book import ObstacleBook
-from redundant_planner.nodes.ros_parameters import declare, declare_entries, on_change
+from redundant_planner.nodes.obstacle_book import checked, ObstacleBook
+from redundant_planner.nodes.ros_parameters import (
+    CAPSULE,
+    declare,
+    declare_entries,
+    on_change,
+    STATIC_OBSTACLE,
+    unknown_parameters,
+)
 from redundant_planner.nodes.state_report import diagnostics, LoopState, RobotMarkers, status_of
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.recorded_tick import RecordedTick, TickKind
@@ -106,11 +113,12 @@ class PlannerNode(process.EndableNode):
         self._planner_parameters = declare(self, PlannerParameters)
         self._settings = declare(self, PlannerNodeParameters)
         self._capsules = declare_entries(
-            self, 'capsule', self._robot_parameters.capsules,
-            {'frame': 'text', 'start': 3, 'end': 3, 'radius': 1})
+            self, 'capsule', self._robot_parameters.capsules, CAPSULE)
         self._static = declare_entries(
-            self, 'static_obstacle', self._settings.static_obstacles,
-            {'center': 3, 'semi_axes': 3, 'orientation': 4}, runtime=True)
+            self, 'static_obstacle', self._settings.static_obstacles, STATIC_OBSTACLE,
+            runtime=True)
+        for sentence in unknown_parameters(self):
+            self.get_logger().warning(sentence)
         static = [obstacle_of(name, entry) for name, entry in self._static.items()]
 
         # The system's own clocks, rclpy's take a hundred times as long to read.
@@ -228,7 +236,7 @@ class PlannerNode(process.EndableNode):
             raw=True))
         self._report_state()
         on_change(self, lambda: (self._planner_parameters, self._settings), self._apply,
-                  'static_obstacle')
+                  'static_obstacle', STATIC_OBSTACLE)
         wake_up_in_time()
         self._runs = True
         self.create_timer(self._period, self._on_timer, clock=self._loop_clock)
@@ -255,11 +263,11 @@ class PlannerNode(process.EndableNode):
         command, sensors = self._command, qos_profile_sensor_data
         if self._settings.enable_stamped_cmd_vel:
             self.create_subscription(
-                TwistStamped, 'cmd_vel', command.on_twist_stamped, sensors)
+                TwistStamped, 'cmd_vel', command.on_twist_stamped, sensors, raw=True)
         else:
-            self.create_subscription(Twist, 'cmd_vel', command.on_twist, sensors)
+            self.create_subscription(Twist, 'cmd_vel', command.on_twist, sensors, raw=True)
         self.create_subscription(
-            MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1)
+            MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1, raw=True)
         self._joint_states = Inbox(self, JointState, 'joint_states')
         self.create_subscription(
             MarkerArray, 'obstacles', self._on_obstacles, 10, raw=True)
@@ -289,17 +297,16 @@ class PlannerNode(process.EndableNode):
 
     def _apply(
         self, planner: PlannerParameters, settings: PlannerNodeParameters,
-        others: dict[str, Any],
+        others: dict[tuple[str, str], Any],
     ) -> None:
         """Take new settings; raises PlannerError before anything has changed."""
         assert self._planner is not None
         entries = {name: dict(entry) for name, entry in self._static.items()}
-        for full, value in others.items():
-            _, name, key = full.split('.')
+        for (name, key), value in others.items():
             entries[name][key] = value
-        static = [obstacle_of(name, entry) for name, entry in entries.items()]
+        static = checked(obstacle_of(name, entry) for name, entry in entries.items())
         self._planner.parameters = planner
-        self._static, self._obstacles.static = entries, static  # type: ignore[assignment]
+        self._static, self._obstacles.static = entries, static
         self._obstacles.estimate_velocity = settings.estimate_obstacle_velocity
         self._command.timeout = settings.incoming_command_timeout
         self._planner_parameters, self._settings = planner, settings

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+import contextlib
 from dataclasses import Field, fields, replace
+import functools
+from itertools import pairwise
 import math
+from pathlib import Path
+import re
+import sys
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -15,13 +21,22 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+import yaml
 
-from redundant_planner.core.errors import ParameterError, PlannerError
+from redundant_planner.core.errors import ParameterError, PlannerError, shown, unknown_names
 from redundant_planner.core.parameters import checked, PlannerParameters, spec_of
-from redundant_planner.node_parameters import FakeHardwareParameters, PlannerNodeParameters
+from redundant_planner.node_parameters import (
+    FakeHardwareParameters,
+    PlannerNodeParameters,
+    PlayerParameters,
+)
 from redundant_planner.robot_parameters import RobotParameters
 
 Settings = TypeVar('Settings')
+
+# The keys of a capsule and of a static obstacle, and how many numbers they take.
+CAPSULE: Mapping[str, int | str] = {'frame': 'text', 'start': 3, 'end': 3, 'radius': 1}
+STATIC_OBSTACLE: Mapping[str, int | str] = {'center': 3, 'semi_axes': 3, 'orientation': 4}
 
 
 def declare(node: Node, settings: type[Settings]) -> Settings:
@@ -33,9 +48,10 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
         ParameterError: a value given at start does not fit.
     """
     values = {}
+    said = disputed(tuple(sys.argv), node.get_fully_qualified_name())
     for entry in fields(settings):  # type: ignore[arg-type]
         node.declare_parameter(entry.name, None, ParameterDescriptor(dynamic_typing=True))
-        given = node.get_parameter(entry.name).value
+        given = said.get(entry.name, node.get_parameter(entry.name).value)
         value = entry.default if given is None else checked(entry, given)
         values[entry.name] = value
         if value != ():
@@ -82,34 +98,148 @@ def declare_entries(
         ParameterError: a value has the wrong type or length.
     """
     entries: dict[str, dict[str, Any]] = {}
+    said = disputed(tuple(sys.argv), node.get_fully_qualified_name())
     for name in names:
         entries[name] = {}
         for key, size in sizes.items():
             full = f'{prefix}.{name}.{key}'
             node.declare_parameter(
                 full, None, ParameterDescriptor(dynamic_typing=True, read_only=not runtime))
-            value = node.get_parameter(full).value
+            value = said.get(full, node.get_parameter(full).value)
             if value is not None:
-                entries[name][key] = _checked_entry(full, value, size)
+                entries[name][key] = checked_entry(full, value, size)
     return entries
 
 
-def _checked_entry(name: str, value: Any, size: int | str) -> Any:
+def checked_entry(name: str, value: Any, size: int | str) -> Any:
+    """Return the value of a named entry.
+
+    Args:
+        name: of the parameter, for messages.
+        value: as ROS gives it.
+        size: number of floats, or 'text' for a string.
+
+    Raises:
+        ParameterError: it has the wrong type or length, or a number is not finite.
+    """
     if size == 'text':
         if not isinstance(value, str):
-            raise ParameterError(f"parameter '{name}' is {value!r}; it must be a string")
+            raise ParameterError(f"parameter '{name}' is {shown(value)}; it must be a string")
         return value
-    items = list(value) if not isinstance(value, (int, float, str)) else [value]
+    listed = isinstance(value, Iterable) and not isinstance(value, (str, bytes, Mapping))
+    items = list(value) if listed else [value]
     if len(items) != size or not all(
-            isinstance(i, (int, float)) and not isinstance(i, bool) for i in items):
-        raise ParameterError(f"parameter '{name}' is {items}; it takes {size} number"
-                             + ('s' if size != 1 else ''))
-    return [float(i) for i in items] if size != 1 else float(items[0])
+            isinstance(i, (int, float)) and not isinstance(i, bool) and abs(i) < math.inf
+            for i in items):
+        raise ParameterError(f"parameter '{name}' is {shown(items if listed else value)}; it "
+                             f'takes {size} finite number' + ('s' if size != 1 else ''))
+    try:
+        return [float(i) for i in items] if size != 1 else float(items[0])
+    except OverflowError:
+        raise ParameterError(f"parameter '{name}' has a number that is too large") from None
+
+
+@functools.cache
+def disputed(arguments: tuple[str, ...], node: str) -> dict[str, Any]:
+    """Return the parameters that the command line and its files give more than once.
+
+    The last one holds, and one of -p before those of files. rcl decides otherwise: of several
+    types a whole number wins over a decimal one, whatever their order, and a section with the
+    node's own name over -p.
+
+    Args:
+        arguments: of the process.
+        node: its full name.
+
+    Returns:
+        Name → value, of those alone that rcl may decide otherwise.
+    """
+    files: dict[str, list[Any]] = {}
+    lines: dict[str, list[Any]] = {}
+    inside = False
+    for flag, argument in pairwise((*arguments, '')):
+        inside = flag == '--ros-args' or (inside and flag != '--')
+        if inside and flag == '--params-file':
+            for name, value in _values_for(node, yaml.safe_load(Path(argument).read_text())):
+                files.setdefault(name, []).append(value)
+        elif inside and flag in ('-p', '--param'):
+            name, _, text = argument.partition(':=')
+            place, colon, name = name.rpartition(':')
+            if not colon or place == node.rpartition('/')[2]:
+                lines.setdefault(name, []).append(_plain(yaml.safe_load(text)))
+    last = {name: values[-1] for name, values in (files | lines).items()}
+    return {name: value for name, value in last.items()
+            if (name in files and name in lines) or len(
+                {_kind(given) for given in (files | lines)[name]}) > 1}
+
+
+def _values_for(node: str, content: Any, place: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield what a parameter file gives a node, from its sections in their order."""
+    for key, value in content.items() if isinstance(content, dict) else ():
+        if key == 'ros__parameters':
+            pattern = re.escape(place).replace(r'/\*\*', r'(/[^/]+)*').replace(r'\*', '[^/]+')
+            if re.fullmatch(pattern, node):
+                yield from _flat(value)
+        else:
+            yield from _values_for(node, value, f'{place}/{str(key).strip("/")}')
+
+
+def _flat(content: Any, prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield nested names joined by dots."""
+    for key, value in content.items() if isinstance(content, dict) else ():
+        if isinstance(value, dict):
+            yield from _flat(value, f'{prefix}{key}.')
+        else:
+            yield f'{prefix}{key}', _plain(value)
+
+
+def _kind(value: Any) -> str:
+    """Return what rcl tells values apart by."""
+    return f'list of {type(value[0])}' if isinstance(value, list) and value else str(type(value))
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as rcl reads it: 1e5 is a number for it, for PyYAML a string."""
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if isinstance(value, str):
+        with contextlib.suppress(ValueError):
+            return float(value)
+    return value
+
+
+# Parameters that every node has.
+_ROS = ('use_sim_time', 'start_type_description_service')
+
+
+def unknown_parameters(node: Node) -> list[str]:
+    """Return a sentence for every parameter that was given to a node and that nobody reads.
+
+    rclpy ignores them without a word. Those of this package's other nodes are known, as the nodes
+    share their files; so are the entries of obstacles and capsules, where the node does not list
+    any.
+    """
+    names = {*_ROS, *node.list_parameters([], 0).names}
+    for settings in (RobotParameters, PlannerParameters, PlannerNodeParameters,
+                     FakeHardwareParameters, PlayerParameters):
+        names |= {entry.name for entry in fields(settings)}
+    not_mine = ['qos_overrides.']
+    for prefix, listed, sizes in (
+            ('capsule', 'capsules', CAPSULE), ('static_obstacle', 'static_obstacles',
+                                               STATIC_OBSTACLE)):
+        if node.has_parameter(listed):
+            names |= {f'{prefix}.{name}.{key}' for name in node.get_parameter(listed).value or ()
+                      for key in sizes}
+        else:
+            not_mine.append(f'{prefix}.')
+    given = node._parameter_overrides  # rclpy has no public name for it
+    return unknown_names(
+        (name for name in given if not name.startswith(tuple(not_mine))), names)
 
 
 def on_change(
     node: Node, current: Callable[[], tuple[Any, ...]], apply: Callable[..., None],
-    entries: str,
+    prefix: str, sizes: Mapping[str, int | str],
 ) -> None:
     """Let the runtime parameters of the given dataclasses change while the node runs.
 
@@ -119,27 +249,48 @@ def on_change(
         node: whose parameters change.
         current: returns the settings in use, one instance per dataclass.
         apply: takes the new settings, in the same order, and a dictionary of the changed
-            entries; may raise PlannerError to refuse.
-        entries: prefix of the named entries that may change (`declare_entries`).
+            entries, (name, key) → value; may raise PlannerError to refuse.
+        prefix, sizes: of the named entries that may change, as for `declare_entries`.
     """
 
     def callback(parameters: list[Parameter]) -> SetParametersResult:
-        settings, others = list(current()), {}
+        changes = {change.name: change.value for change in parameters}
         try:
-            for change in parameters:
-                if change.name.startswith(f'{entries}.'):
-                    others[change.name] = change.value
-                for i, setting in enumerate(settings):
-                    entry = next((f for f in fields(setting) if f.name == change.name), None)
-                    if entry is None:
-                        continue
-                    settings[i] = replace(setting, **{change.name: change.value})
-            apply(*settings, others)
+            apply(*changed(current(), changes), changed_entries(prefix, sizes, changes))
         except PlannerError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(callback)
+
+
+def changed(settings: Iterable[Any], changes: Mapping[str, Any]) -> list[Any]:
+    """Return parameter dataclasses with those changes that are theirs.
+
+    Raises:
+        ParameterError: a value does not fit.
+    """
+    return [replace(setting, **{entry.name: changes[entry.name] for entry in fields(setting)
+                                if entry.name in changes}) for setting in settings]
+
+
+def changed_entries(
+    prefix: str, sizes: Mapping[str, int | str], changes: Mapping[str, Any],
+) -> dict[tuple[str, str], Any]:
+    """Return those changes that are of entries PREFIX.NAME.KEY, (name, key) → value.
+
+    A name may have dots.
+
+    Raises:
+        ParameterError: a value does not fit.
+    """
+    entries = {}
+    for full, value in changes.items():
+        if full.startswith(f'{prefix}.'):
+            name, _, key = full[len(prefix) + 1:].rpartition('.')
+            if key in sizes:
+                entries[name, key] = checked_entry(full, value, sizes[key])
+    return entries
 
 
 def parameter_page() -> str:
@@ -153,7 +304,8 @@ def parameter_page() -> str:
             ('planner_node and fake_hardware_node: the robot', RobotParameters),
             ('planner_node: the mathematics', PlannerParameters),
             ('planner_node: the loop', PlannerNodeParameters),
-            ('fake_hardware_node', FakeHardwareParameters)):
+            ('fake_hardware_node', FakeHardwareParameters),
+            ('scenario_player', PlayerParameters)):
         lines += [f'## {title}', '', '| parameter | default | unit | range | meaning |',
                   '|---|---|---|---|---|']
         for entry in fields(settings):

@@ -15,7 +15,7 @@ from visualization_msgs.msg import MarkerArray
 from redundant_planner.core.errors import ParameterError
 from redundant_planner.node_parameters import PlayerParameters
 from redundant_planner.nodes import messages, process
-from redundant_planner.nodes.ros_parameters import declare
+from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
 from redundant_planner.resources import resolve
 from redundant_planner.scenario import load_scenario
 
@@ -31,6 +31,8 @@ class ScenarioPlayer(process.EndableNode):
         """
         super().__init__('scenario_player')
         settings = declare(self, PlayerParameters)
+        for sentence in unknown_parameters(self):
+            self.get_logger().warning(sentence)
         if not settings.scenario:
             raise ParameterError("parameter 'scenario' is empty; give a scenario file")
         self._scenario = load_scenario(resolve(settings.scenario))

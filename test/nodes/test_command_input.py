@@ -5,6 +5,7 @@ from __future__ import annotations
 from geometry_msgs.msg import TwistStamped
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from rclpy.time import Time
 
 from redundant_planner.core.horizon import Preview
@@ -12,6 +13,10 @@ from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.messages import preview_to_message, twist_to_message
 
 TWIST = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.2])
+
+
+def serialised(message):
+    return bytes(serialize_message(message))
 
 
 class Clocks:
@@ -28,7 +33,7 @@ class Clocks:
         if stamp is not None:
             message.header.stamp = Time(nanoseconds=round(stamp * 1e9)).to_msg()
         message.header.frame_id = frame
-        self.input.on_twist_stamped(message)
+        self.input.on_twist_stamped(serialised(message))
 
     @property
     def moving(self):
@@ -41,7 +46,7 @@ def clocks():
 
 
 def test_a_command_ages_by_receipt(clocks):
-    clocks.input.on_twist(twist_to_message(TWIST))
+    clocks.input.on_twist(serialised(twist_to_message(TWIST)))
     np.testing.assert_array_equal(clocks.input.twist(0.1), TWIST)
     clocks.loop += 0.09
     assert clocks.moving
@@ -100,7 +105,7 @@ def test_nothing_remains_after_forgetting(clocks):
 
 def test_a_preview_outlives_a_stop_but_not_a_jump_of_the_clock(clocks):
     preview = Preview(np.array([0.0, 2.0]), np.tile(TWIST, (2, 1)))
-    clocks.input.on_preview(preview_to_message(preview))
+    clocks.input.on_preview(serialised(preview_to_message(preview)))
     assert clocks.input.ahead(0.1) is None  # nothing is commanded
     clocks.loop += 0.5
     clocks.send()
@@ -112,3 +117,26 @@ def test_a_preview_outlives_a_stop_but_not_a_jump_of_the_clock(clocks):
     assert clocks.input.ahead(0.1) is not None
     clocks.input.forget_preview()
     assert clocks.input.ahead(0.1) is None
+
+
+@pytest.mark.parametrize(('seconds', 'used'), [
+    (-1.9, True), (-2.1, False), (5.0, True), (1e6, False), (-1e9, False)])
+def test_a_preview_of_another_clock_counts_but_is_not_looked_at(clocks, seconds, used):
+    message = preview_to_message(Preview(np.array([0.0, 2.0]), np.tile(TWIST, (2, 1))))
+    clocks.ros = 1.5e9
+    message.header.stamp = Time(nanoseconds=round((clocks.ros + seconds) * 1e9)).to_msg()
+    clocks.input.on_preview(serialised(message))
+    clocks.send()
+    assert clocks.input.previews == 1 and used != any('same clock' in s for s in clocks.said)
+    assert (clocks.input.ahead(0.1) is not None) == used
+
+
+def test_bytes_that_are_no_message_change_nothing(clocks):
+    clocks.send()
+    for take in (clocks.input.on_twist, clocks.input.on_twist_stamped, clocks.input.on_preview):
+        for raw in (b'', b'\0\1\0\0', b'nonsense' * 9):
+            clocks.said.clear()
+            take(raw)
+            assert 'ignored: ' in clocks.said[0]
+    np.testing.assert_array_equal(clocks.input.twist(0.1), TWIST)
+    assert clocks.input.previews == 0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from builtin_interfaces.msg import Duration
-from geometry_msgs.msg import Twist
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import TwistStamped
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
@@ -11,14 +11,12 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.horizon import Preview
 from redundant_planner.core.obstacles import Obstacle
 from redundant_planner.nodes.messages import (
     markers_of,
     positions_from_message,
-    preview_from_message,
-    preview_to_message,
-    twist_from_message,
+    stamped_twist_from_bytes,
+    twist_from_bytes,
     twist_to_message,
 )
 from redundant_planner.nodes.obstacle_book import ObstacleBook
@@ -46,11 +44,32 @@ def test_bad_joint_states_are_refused_by_name(names, values, message):
 
 def test_twists_pass_through_and_bad_ones_do_not():
     twist = np.array([1.0, 2.0, 3.0, -1.0, -2.0, -3.0])
-    np.testing.assert_array_equal(twist_from_message(twist_to_message(twist)), twist)
-    bad = Twist()
-    bad.angular.y = np.inf
-    with pytest.raises(StateError, match='must be finite'):
-        twist_from_message(bad)
+    raw = bytes(serialize_message(twist_to_message(twist)))
+    np.testing.assert_array_equal(twist_from_bytes(raw), twist)
+    for bad in (np.inf, np.nan, 1e308, -1.1e3):
+        twist[4] = bad
+        with pytest.raises(StateError, match='must be finite, up to 1000 m/s'):
+            twist_from_bytes(bytes(serialize_message(twist_to_message(twist))))
+    for length in range(len(raw)):
+        with pytest.raises(StateError):
+            twist_from_bytes(raw[:length])
+
+
+@pytest.mark.parametrize('frame', ['', 'tip', 'ten letters', 'fünf\n'])
+def test_stamped_twists_are_read_by_their_bytes(frame):
+    message = TwistStamped(twist=twist_to_message(np.arange(6.0)))
+    message.header.frame_id = frame
+    message.header.stamp = Time(sec=-5, nanosec=250_000_000)
+    raw = bytes(serialize_message(message))
+    stamp, read, twist = stamped_twist_from_bytes(raw)
+    assert (stamp, read) == (-4.75, frame)
+    np.testing.assert_array_equal(twist, np.arange(6.0))
+    for length in range(len(raw)):
+        with pytest.raises(StateError):
+            stamped_twist_from_bytes(raw[:length])
+    for lie in (257, 2**31, 2**32 - 1):
+        with pytest.raises(StateError, match='up to 255'):
+            stamped_twist_from_bytes(raw[:12] + lie.to_bytes(4, 'little') + raw[16:])
 
 
 BALL = Obstacle('ball', np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]),
@@ -86,6 +105,10 @@ def test_a_marker_is_the_ellipsoid_it_came_from():
     ({'scale__x': 0.0}, 'scale'), ({'scale__y': -1.0}, 'scale'),
     ({'pose__orientation__w': 5.0}, 'quaternion'), ({'pose__position__x': np.nan}, 'finite'),
     ({'header__frame_id': 'moon'}, r"frame 'moon'; it must be in '', 'base'"),
+    ({'pose__position__y': 1e300}, 'finite numbers up to 1e.06 m'),
+    ({'scale__z': 1e-300}, 'from 1e-06 to 1e.06 m'), ({'scale__z': 1e300}, 'scale'),
+    ({'pose__orientation__z': 1e200}, 'quaternion'),
+    ({'lifetime__sec': -1}, 'lifetime of -1 s'),
     ({'type': Marker.ARROW}, 'must be SPHERE'), ({'action': 7}, 'action 7'),
 ])
 def test_a_bad_marker_changes_nothing_and_the_others_count(change, message):
@@ -122,20 +145,3 @@ def test_a_lifetime_ends_and_the_scene_stays_the_same_object_until_then():
     assert book.scene is scene
     book.expire(0.5)
     assert book.scene.names == ('ball/1',)
-
-
-def test_a_preview_survives_the_way_there_and_back():
-    preview = Preview(np.array([0.0, 0.1, 1.25]), np.random.default_rng(0).normal(size=(3, 6)))
-    again = preview_from_message(preview_to_message(preview))
-    np.testing.assert_allclose(again.times, preview.times, atol=1e-9)
-    np.testing.assert_array_equal(again.twists, preview.twists)
-
-
-def test_a_bad_preview_is_refused_with_the_reason():
-    message = preview_to_message(Preview(np.array([0.0, 1.0]), np.zeros((2, 6))))
-    message.points[1].velocities = []
-    with pytest.raises(StateError, match='point 1 of the preview has 0 velocities'):
-        preview_from_message(message)
-    message.points = []
-    with pytest.raises(StateError, match='has 0 times'):
-        preview_from_message(message)

@@ -12,8 +12,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.obstacles import Obstacle
-from redundant_planner.nodes.marker_reader import read_markers
-from redundant_planner.nodes.obstacle_book import ObstacleBook
+from redundant_planner.nodes import obstacle_book
+from redundant_planner.nodes.obstacle_book import MOST_FRAMES, ObstacleBook
 
 
 def marker(number=0, at=(0.0, 0.0, 0.0), kind=Marker.SPHERE, stamp=0.0, frame='base', **fields):
@@ -128,36 +128,189 @@ def test_a_thousand_markers_keep_their_identity():
     np.testing.assert_allclose(book.scene.centers, places)
 
 
-class Afresh:
-    """A reader that takes every message for a new one."""
+def test_a_detector_that_sees_nothing_any_more():
+    """Empty messages after others: what was remembered of those no longer holds."""
+    book = ObstacleBook([], ['base'])
+    for told in ([marker(), marker(1)], [], [], [marker()], [], [],
+                 [marker(i) for i in range(3)],
+                 [marker(i, action=Marker.DELETE) for i in range(3)], [], []):
+        assert tell(book, 0.0, *told) == []
+    assert book.scene.names == ()
 
-    def read(self, raw):
-        return read_markers(raw)
+
+def test_more_obstacles_than_are_kept_in_mind_are_refused(monkeypatch):
+    monkeypatch.setattr(obstacle_book, 'MOST_OBSTACLES', 3)
+    book = ObstacleBook([], ['base'])
+    assert tell(book, 0.0, *(marker(i) for i in range(5))) == [
+        '2 obstacles are too many: up to 3 are kept in mind']
+    assert book.scene.names == ('o/0', 'o/1', 'o/2')
+    assert tell(book, 0.0, marker(0, action=Marker.DELETE)) == []
+    assert tell(book, 0.0, marker(4)) == [] and book.scene.names == ('o/1', 'o/2', 'o/4')
 
 
-@settings(deadline=None)
+def test_too_many_frames_are_refused_without_being_looked_up():
+    asked = []
+
+    def transform(frame):
+        asked.append(frame)
+        return np.zeros(3), np.eye(3)
+
+    book = ObstacleBook([], ['base'], transform=transform)
+    problems = tell(book, 0.0, *(marker(i, frame=f'f{i}') for i in range(1000)))
+    assert len(asked) == len(book.scene.names) == MOST_FRAMES
+    assert "obstacle 'o/20' is given in frame 'f20'" in problems[0] and len(problems) == 4
+
+
+@pytest.mark.parametrize(('origin', 'scale'), [
+    (np.array([np.nan, 0.0, 0.0]), 1.0), (np.array([2e6, 0.0, 0.0]), 1.0), (np.zeros(3), np.nan)])
+def test_a_transform_to_nowhere_is_refused(origin, scale):
+    book = ObstacleBook([], ['base'], transform=lambda frame: (origin, scale * np.eye(3)))
+    assert 'takes finite numbers' in tell(book, 0.0, marker(at=(0.1, 0.0, 0.0), frame='far'))[0]
+    assert not book.scene.names
+
+
+@pytest.mark.parametrize(('center', 'semi_axes', 'problem'), [
+    ((1e300, 0.0, 0.0), (0.1, 0.1, 0.1), "obstacle 'wall' is at .* up to 1e.06 m"),
+    ((0.0, 0.0, 0.0), (0.1, 1e-300, 0.1), "obstacle 'wall' has the scale .* from 1e-06"),
+    ((0.0, 0.0, 0.0), (1e9, 1.0, 0.1), "obstacle 'wall' has the scale")])
+def test_the_same_bounds_hold_for_static_obstacles(center, semi_axes, problem):
+    good = Obstacle('wall', np.zeros(3), np.ones(3))
+    book = ObstacleBook([good], ['base'])
+    with pytest.raises(ObstacleError, match=problem):
+        book.static = [Obstacle('wall', np.array(center), np.array(semi_axes))]
+    assert book.static == (good,) and book.scene.semi_axes[0, 0] == 1.0
+
+
+@pytest.mark.parametrize('gap', [1e-9, 1e-6, 5e-4])
+def test_stamps_next_to_each_other_are_one_measurement(gap):
+    book = ObstacleBook([], ['base'], estimate_velocity=True)
+    tell(book, 0.0, marker(stamp=10.0))
+    tell(book, 0.1, marker(at=(0.01, 0.0, 0.0), stamp=10.1))
+    tell(book, 0.1, marker(at=(0.0101, 0.0, 0.0), stamp=10.1 + gap))
+    np.testing.assert_allclose(book.scene.velocities[0], [0.1, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_array_equal(book.scene.centers[0], [0.0101, 0.0, 0.0])
+
+
+def test_a_clock_that_was_set_back_does_not_freeze_a_velocity():
+    book = ObstacleBook([], ['base'], estimate_velocity=True)
+    tell(book, 0.0, marker(stamp=1e9))
+    tell(book, 0.1, marker(at=(0.01, 0.0, 0.0), stamp=1e9 + 0.1))
+    assert book.scene.velocities[0, 0] > 0.09
+    tell(book, 0.2, marker(at=(0.02, 0.0, 0.0), stamp=5.0))
+    np.testing.assert_array_equal(book.scene.velocities, 0.0)
+    tell(book, 0.3, marker(at=(0.02, 0.01, 0.0), stamp=5.1))
+    np.testing.assert_allclose(book.scene.velocities[0], [0.0, 0.1, 0.0], atol=1e-9)
+
+
+class Reference:
+    """The rules of the book, one marker after another, nothing remembered but the obstacles."""
+
+    def __init__(self, transform):
+        self.known, self.transform = {}, transform
+
+    def update(self, told, now):
+        """Apply markers; return how many were wrong."""
+        wrong = 0
+        for m in told:
+            key = f'{m.ns}/{m.id}' if m.ns else str(m.id)
+            if m.action == Marker.DELETEALL:
+                self.known.clear()
+            elif m.action == Marker.DELETE:
+                self.known.pop(key, None)
+            elif m.action != Marker.ADD or m.type not in (1, 2, 3) or m.scale.x <= 0.0 or (
+                    m.header.frame_id == 'moon'):
+                wrong += 1
+            else:
+                self.add(key, m, now)
+        return wrong
+
+    def add(self, key, m, now):
+        p, half = m.pose.position, 0.5 * np.array([m.scale.x, m.scale.y, m.scale.z])
+        center = np.array([p.x, p.y, p.z])
+        if m.header.frame_id == 'camera':
+            center = center + self.transform('camera')[0]
+        factor = {1: np.sqrt([3.0, 3.0, 3.0]), 2: np.ones(3), 3: np.sqrt([1.5, 1.5, 3.0])}[m.type]
+        stamp = m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec or now
+        before = self.known.get(key)
+        velocity, last = np.zeros(3), stamp
+        if before is not None:
+            elapsed = stamp - before['stamp']
+            if -0.3 <= elapsed < 1e-3:
+                velocity, last = before['velocity'], before['stamp']
+            elif elapsed > 0.0:
+                velocity = (center - before['center']) / elapsed
+                if np.linalg.norm(velocity) >= 3.0:
+                    velocity = np.zeros(3)
+        life = m.lifetime.sec + 1e-9 * m.lifetime.nanosec
+        self.known[key] = {'center': center, 'axes': half * factor, 'velocity': velocity,
+                           'stamp': last, 'heard': now, 'end': now + life if life else np.inf}
+
+    def expire(self, now):
+        self.known = {key: o for key, o in self.known.items() if o['end'] > now}
+        for o in self.known.values():
+            if now - o['heard'] > 0.3:
+                o['velocity'] = np.zeros(3)
+
+
+ACTIONS = [Marker.ADD] * 8 + [Marker.DELETE, Marker.DELETE, Marker.DELETEALL, 1]
+
+
+@st.composite
+def messages(draw, before):
+    """The message before once more with other numbers, or any other, an empty one included."""
+    kind = draw(st.sampled_from(['same'] * 4 + ['some', 'any', 'any', 'empty']))
+    if kind == 'empty':
+        return []
+    if kind == 'any' or not before:
+        told = [Marker(
+            ns=draw(st.sampled_from(['', 'o', 'name'])), id=draw(st.integers(0, 2)),
+            text=draw(st.sampled_from(['', 'longer']))) for _ in range(draw(st.integers(1, 5)))]
+        odd = draw(st.booleans())
+        for m in told:  # like a detector, or anything
+            m.type = draw(st.sampled_from([1, 2, 2, 3, 4])) if odd else Marker.SPHERE
+            m.action = draw(st.sampled_from(ACTIONS)) if odd else Marker.ADD
+            m.header.frame_id = draw(st.sampled_from(
+                ['base'] * 6 + ['camera', 'moon'])) if odd else 'base'
+        told[0].action = draw(st.sampled_from([Marker.ADD, Marker.DELETEALL]))
+    else:
+        told = before[:draw(st.integers(0, len(before)))] if kind == 'some' else list(before)
+    flaws = [-1.0] if draw(st.integers(0, 5)) == 0 else []
+    lives = draw(st.sampled_from([[0], [0], [0, 5 * 10**8]]))
+    for m in told:
+        p = m.pose.position
+        p.x, p.y, p.z = (draw(st.sampled_from([0.0, 0.01, -0.02, 0.3])) for _ in range(3))
+        m.pose.orientation.w = 1.0
+        m.scale.y = m.scale.z = 0.4
+        m.scale.x = draw(st.sampled_from([0.2, 0.2, *flaws]))
+        m.header.stamp = Time(sec=draw(st.sampled_from([0] * 3 + [1000])),
+                              nanosec=draw(st.sampled_from([0, 1000, 10**8, 2 * 10**8])))
+        m.lifetime.nanosec = draw(st.sampled_from(lives))
+    return told
+
+
+@settings(deadline=None, max_examples=120)
 @given(st.data())
-def test_obstacles_that_only_move_end_up_where_the_long_way_leads(data):
-    """The same messages to a book that knows what is new and to one that does not."""
-    quick, slow = (ObstacleBook([], ['base'], estimate_velocity=True) for _ in range(2))
-    slow._reader = Afresh()
-    numbers, now = list(range(3)), 0.0
-    for _ in range(8):
-        now += data.draw(st.sampled_from([0.03, 0.2, 0.5]))
-        what = data.draw(st.sampled_from(['move'] * 5 + ['delete', 'fewer', 'wrong', 'shape']))
-        if what == 'fewer':
-            numbers = data.draw(st.permutations(range(3)))[:2]
-        kind = Marker.CUBE if what == 'shape' else Marker.SPHERE
-        told = [marker(i, at=data.draw(st.tuples(*[st.floats(-1, 1)] * 3)), kind=kind,
-                       action=Marker.DELETE if what == 'delete' else Marker.ADD)
-                for i in numbers]
-        if what == 'wrong':
-            told[0].scale.x = -1.0
-        told[-1].lifetime.sec = data.draw(st.integers(0, 1))
-        assert tell(quick, now, *told) == tell(slow, now, *told)
-        quick.expire(now + 0.02)
-        slow.expire(now + 0.02)
-        assert quick.scene.names == slow.scene.names
-        for field in ('centers', 'rotations', 'semi_axes', 'velocities'):
-            np.testing.assert_array_equal(
-                getattr(quick.scene, field), getattr(slow.scene, field))
+def test_any_sequence_of_messages_leads_where_its_markers_lead_one_by_one(data):
+    def transform(frame):
+        if frame != 'camera':
+            raise ObstacleError('tf2 knows no way from there')
+        return np.array([1.0, 0.0, 0.0]), np.eye(3)
+
+    book = ObstacleBook([], ['base'], transform=transform, estimate_velocity=True)
+    reference, told, now = Reference(transform), [], 2.0
+    for _ in range(data.draw(st.integers(2, 8))):
+        now += data.draw(st.sampled_from([0.0, 0.03, 0.2, 0.5]))
+        told = data.draw(messages(told))
+        wrong = reference.update(told, now)
+        assert len(tell(book, now, *told)) == (wrong if wrong <= 3 else 4)
+        if data.draw(st.booleans()):
+            now += 0.02
+            reference.expire(now)
+            book.expire(now)
+        scene, known = book.scene, reference.known
+        assert sorted(scene.names) == sorted(known)
+        for i, name in enumerate(scene.names):
+            np.testing.assert_allclose(scene.centers[i], known[name]['center'], atol=1e-12)
+            np.testing.assert_allclose(scene.semi_axes[i], known[name]['axes'], rtol=1e-12)
+            np.testing.assert_allclose(
+                scene.velocities[i], known[name]['velocity'], rtol=1e-6, atol=1e-12)
