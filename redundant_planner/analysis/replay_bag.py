@@ -39,6 +39,7 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import Robot
 from redundant_planner.core.safety import braked
 from redundant_planner.nodes.obstacle_book import ObstacleBook
+from redundant_planner.nodes.preview_reader import read_preview
 from redundant_planner.recorded_tick import RecordedTick, TickKind
 from redundant_planner.robot_parameters import read_parameter_file, settings_of
 
@@ -161,13 +162,8 @@ def _tick(item: Event, robot: Robot) -> RecordedTick:
 
 def _preview(item: Event) -> Preview | None:
     """Return what was announced; None where the node refused it, and did not count it."""
-    points = item.message.points
-    if any(len(point.velocities) != 1 for point in points):
-        return None
     try:
-        return Preview(
-            np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]),
-            np.array([twist_of(p.velocities[0]) for p in points]).reshape(-1, 6))
+        return read_preview(bytes(item.raw))[1]
     except StateError:
         return None
 

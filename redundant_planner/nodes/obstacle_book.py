@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from itertools import compress, count, islice
+from itertools import compress, count, islice, repeat
 import math
 from typing import NamedTuple
 
@@ -257,8 +257,9 @@ class ObstacleBook:
                 reasons[frame] = str(error)
                 continue
             chosen = numbers == number[frame]
-            centers[chosen] = centers[chosen] @ axes.T + origin
-            turns[chosen] = axes @ turns[chosen]
+            with np.errstate(invalid='ignore', over='ignore'):  # what it leads to is checked
+                centers[chosen] = centers[chosen] @ axes.T + origin
+                turns[chosen] = axes @ turns[chosen]
         return reasons
 
     def _rows_of(
@@ -269,20 +270,20 @@ class ObstacleBook:
         Returns:
             (k,) rows, −1 for no obstacle, and for how many there was no room.
         """
-        index, before, lost = self._index, len(self._index), 0
-        chosen = places.tolist()
-        names, ids = listing.namespaces, listing.ids[places].tolist()
-        rows = []
-        for name, number, add in zip([names[i] for i in chosen], ids, adds.tolist()):
-            row = index.get((name, number), -1)
-            if row < 0 and add:
-                if len(index) < MOST_OBSTACLES:
-                    index[name, number] = row = len(index)
-                else:
-                    lost += 1
-            rows.append(row)
-        if len(index) > before:
-            self._grow(len(index) - before)
+        # Loops in C: a message may list thousands.
+        index, acts = self._index, np.zeros(len(listing.ids), dtype=bool)
+        acts[places] = True
+        keys = list(zip(compress(listing.namespaces, acts.tolist()), listing.ids[places].tolist()))
+        rows = list(map(index.get, keys, repeat(-1)))
+        lost = 0
+        if -1 in rows:
+            unknown = (np.array(rows) < 0) & adds
+            new = [*dict.fromkeys(compress(keys, unknown.tolist()))]
+            lost = max(len(index) + len(new) - MOST_OBSTACLES, 0)
+            if new[:len(new) - lost]:
+                index.update(zip(new[:len(new) - lost], count(len(index))))
+                self._grow(len(new) - lost)
+                rows = list(map(index.get, keys, repeat(-1)))
         return np.array(rows, dtype=np.intp), lost
 
     def _grow(self, more: int) -> None:
