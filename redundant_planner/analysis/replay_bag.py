@@ -30,7 +30,6 @@ from redundant_planner.analysis.recording import (
     LARGEST,
     open_bag,
     sound_twist,
-    twist_of,
 )
 from redundant_planner.core.errors import ParameterError, PlannerError, StateError
 from redundant_planner.core.horizon import Preview, TwistAhead
