@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmark.generator import DURATION, Task
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, Scene, whitening
 from redundant_planner.core.robot import Capsule, Robot
 
 Array = npt.NDArray[np.float64]

@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from redundant_planner.core import null_space
 from redundant_planner.core.drift import integrate, Pose, pose_error
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, Scene, whitening
 from redundant_planner.core.robot import Robot
 from redundant_planner.core.self_collision import link_distances
 

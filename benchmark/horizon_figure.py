@@ -18,10 +18,12 @@ from redundant_planner.analysis import metrics, paper
 from redundant_planner.analysis.figures import joint_curves
 from redundant_planner.analysis.simulation import simulate
 from redundant_planner.core.drift import integrate, Pose
-from redundant_planner.core.horizon import middles, TwistAhead
-from redundant_planner.core.obstacles import Obstacle, Scene
+from redundant_planner.core.horizon import middles
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
+from redundant_planner.core.preview import TwistAhead
 from redundant_planner.core.robot import Robot
 
 Array = npt.NDArray[np.float64]

@@ -35,7 +35,8 @@ from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.analysis.live import cpu_seconds, Processes
 from redundant_planner.analysis.reproduce_paper import panda_urdf
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, Scene, whitening
 from redundant_planner.core.robot import Robot
 from redundant_planner.nodes.messages import markers_of, twist_to_message
 from redundant_planner.nodes.process import best_executor, keep_off_shared_memory

@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from redundant_planner.core import drift
 from redundant_planner.core.drift import Pose
-from redundant_planner.core.obstacles import Obstacle, Scene, whitening
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import Robot
 

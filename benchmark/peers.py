@@ -24,7 +24,7 @@ import pinocchio as pin
 
 from benchmark.judge import rotation_to
 from redundant_planner.core.drift import Pose
-from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.core.robot import Capsule, Robot
 
 Array = npt.NDArray[np.float64]

@@ -24,9 +24,9 @@ from benchmark.judge import Judge, Verdict
 from redundant_planner.analysis.reproduce_paper import find_panda
 from redundant_planner.core.horizon import middles
 from redundant_planner.core.obstacles import Scene
-from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import AXES, Robot
+from redundant_planner.core.robot import Robot
 from redundant_planner.resources import share_directory
 from redundant_planner.robot_parameters import load_robot
 

@@ -30,7 +30,8 @@ from benchmark.scenarios import make_robot
 from redundant_planner.core import null_space, safety
 from redundant_planner.core.drift import integrate, Pose
 from redundant_planner.core.jacobian import derivative_between
-from redundant_planner.core.obstacles import link_clearance, near_pairs, Obstacle, Scene, whitening
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, near_pairs, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import Robot

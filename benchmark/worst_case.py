@@ -29,10 +29,10 @@ from rich.table import Table
 
 from benchmark.scenarios import make_robot
 from benchmark.speed import planner_times, STARTS
-from redundant_planner.core.horizon import Preview
 from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
+from redundant_planner.core.preview import Preview
 from redundant_planner.core.robot import Robot
 
 Array = npt.NDArray[np.float64]

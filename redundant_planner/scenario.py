@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import known, PlannerError, ScenarioError, shown
-from redundant_planner.core.horizon import Preview
-from redundant_planner.core.obstacles import Obstacle
-from redundant_planner.core.robot import floats_of, Robot
-from redundant_planner.core.urdf import LARGEST
+from redundant_planner.core.numbers import floats_of
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.preview import Preview
+from redundant_planner.core.urdf import LARGEST, read_urdf
+from redundant_planner.parameter_files import (
+    check_keys,
+    obstacle_of,
+    read_robot_parameters,
+    urdf_text,
+)
 from redundant_planner.resources import read_text, resolve, yaml_content
-from redundant_planner.robot_parameters import check_keys, load_robot, obstacle_of
+
+if TYPE_CHECKING:
+    from redundant_planner.core.robot import Robot
 
 Array = npt.NDArray[np.float64]
 
@@ -69,7 +77,24 @@ class Scenario:
         Raises:
             PlannerError: the robot file is unusable.
         """
+        # Not at the top: playing a scenario takes no robot, and none of the mathematics.
+        from redundant_planner.robot_parameters import load_robot
         return load_robot(self.robot_file, **changes)
+
+    def base_frame(self, urdf: str = '') -> str:
+        """Return the link that twists and obstacles refer to.
+
+        Args:
+            urdf: location that replaces the robot file's; none if empty.
+
+        Raises:
+            PlannerError: the robot file is unusable.
+        """
+        parameters, _ = read_robot_parameters(self.robot_file)
+        if parameters.base_frame:
+            return parameters.base_frame
+        changed = replace(parameters, urdf=urdf) if urdf else parameters
+        return read_urdf(urdf_text(changed, self.robot_file.parent)).root
 
     def start_posture(self, robot: Robot) -> Array:
         """Return the start positions (n,) in the robot's joint order.

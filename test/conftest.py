@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from standstill import Standstill
 
-from redundant_planner.core.robot import AXES, Robot
+from redundant_planner.core.parameters import AXES
+from redundant_planner.core.robot import Robot
 from redundant_planner.resources import share_directory
 from redundant_planner.robot_parameters import load_robot
 

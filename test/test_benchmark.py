@@ -9,7 +9,8 @@ from conftest import make_panda, make_planar, PANDA_READY, random_postures
 import numpy as np
 import pytest
 
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import Capsule
 from redundant_planner.nodes.obstacle_book import ObstacleBook

@@ -15,7 +15,8 @@ from redundant_planner.core.capsule_fit import distances, Shape
 from redundant_planner.core.errors import RobotError
 from redundant_planner.core.robot import Robot
 from redundant_planner.link_shapes import collision_pieces, fitted_capsules
-from redundant_planner.robot_parameters import build_robot, likely_tip, load_robot, RobotParameters
+from redundant_planner.parameter_files import RobotParameters
+from redundant_planner.robot_parameters import build_robot, likely_tip, load_robot
 
 ARMS = {
     'panda_description/urdf/panda.urdf': 'panda_hand',

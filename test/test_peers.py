@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.drift import integrate, Pose
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, Scene, whitening
 from redundant_planner.core.self_collision import link_distances
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))

@@ -8,7 +8,8 @@ import pinocchio as pin
 
 from redundant_planner.analysis.metrics import smallest_clearance
 from redundant_planner.analysis.simulation import simulate
-from redundant_planner.core.obstacles import Obstacle, Scene
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.robot_parameters import load_robot

@@ -8,14 +8,14 @@ import yaml
 
 from redundant_planner.core.errors import ParameterError, PlannerError, ScenarioError
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.resources import resolve, share_directory
-from redundant_planner.robot_parameters import (
-    load_robot,
+from redundant_planner.parameter_files import (
     parameter_values,
     read_parameter_file,
     settings_of,
     static_obstacles,
 )
+from redundant_planner.resources import resolve, share_directory
+from redundant_planner.robot_parameters import load_robot
 from redundant_planner.scenario import load_scenario
 
 SCENARIOS = sorted((share_directory() / 'config' / 'scenarios').glob('*.yaml'))

@@ -56,14 +56,10 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.nodes.ros_parameters import PlannerNodeParameters
+from redundant_planner.parameter_files import read_robot_parameters, settings_of
 from redundant_planner.recorded_tick import RecordedTick, TickKind
 from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import (
-    load_robot,
-    parameter_file_text,
-    read_robot_parameters,
-    settings_of,
-)
+from redundant_planner.robot_parameters import load_robot, parameter_file_text
 from redundant_planner.scenario import load_scenario
 
 Random = np.random.Generator

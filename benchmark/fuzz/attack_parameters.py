@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from benchmark.fuzz.tally import Tally
-from redundant_planner.core.obstacles import Obstacle, Scene
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.parameters import PlannerParameters, spec_of
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import Robot
@@ -30,8 +31,9 @@ from redundant_planner.nodes.ros_parameters import (
     PlayerParameters,
     STATIC_OBSTACLE,
 )
+from redundant_planner.parameter_files import obstacle_of, RobotParameters
 from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import load_robot, obstacle_of, RobotParameters
+from redundant_planner.robot_parameters import load_robot
 
 Random = np.random.Generator
 

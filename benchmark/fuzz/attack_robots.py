@@ -17,14 +17,15 @@ from benchmark.fuzz.mutations import NUMBERS, pick, spoilt_bytes, spoilt_numbers
 from benchmark.fuzz.tally import Tally
 from redundant_planner.analysis.show_robot import parameter_file
 from redundant_planner.core.capsule_fit import distances, Shape
-from redundant_planner.core.joint_motion import joint_ranges, SimulatedArm
 from redundant_planner.core.obstacles import Scene
-from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import AXES, Robot
+from redundant_planner.core.robot import Robot
+from redundant_planner.core.simulated_arm import joint_ranges, SimulatedArm
 from redundant_planner.link_shapes import collision_pieces
+from redundant_planner.parameter_files import RobotParameters
 from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import build_robot, likely_tip, RobotParameters
+from redundant_planner.robot_parameters import build_robot, likely_tip
 
 _PANDA = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share' / 'example-robot-data'
           / 'robots' / 'panda_description' / 'urdf' / 'panda.urdf')

@@ -33,9 +33,9 @@ from redundant_planner.analysis.recording import (
 from redundant_planner.core import drift
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import PlannerError
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.core.obstacles import (
     link_clearance,
-    Obstacle,
     pseudo_distance,
     Scene,
     Whitening,
@@ -43,14 +43,9 @@ from redundant_planner.core.obstacles import (
 )
 from redundant_planner.core.robot import Robot
 from redundant_planner.nodes.obstacle_book import ObstacleBook
+from redundant_planner.parameter_files import RobotParameters
 from redundant_planner.resources import resolve
-from redundant_planner.robot_parameters import (
-    build_robot,
-    likely_tip,
-    load_robot,
-    robot_of_values,
-    RobotParameters,
-)
+from redundant_planner.robot_parameters import build_robot, likely_tip, load_robot, robot_of_values
 
 Array = npt.NDArray[np.float64]
 

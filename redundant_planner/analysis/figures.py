@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.core.robot import Robot
 
 Array = npt.NDArray[np.float64]

@@ -26,7 +26,7 @@ from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from redundant_planner.analysis.recording import BagWriter
+from redundant_planner.analysis.bag_writer import BagWriter
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.nodes.inbox import Inbox
 from redundant_planner.nodes.process import keep_off_shared_memory

@@ -9,13 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.drift import integrate, Pose
-from redundant_planner.core.obstacles import (
-    link_clearance,
-    Obstacle,
-    pseudo_distance,
-    Scene,
-    whitening,
-)
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, pseudo_distance, Scene, whitening
 from redundant_planner.core.robot import Robot
 
 Array = npt.NDArray[np.float64]

@@ -14,11 +14,11 @@ from redundant_planner.analysis.simulation import Motion, simulate
 from redundant_planner.core import equation_17
 from redundant_planner.core.jacobian import jacobian_derivative
 from redundant_planner.core.obstacles import Scene
-from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import AXES, Robot
+from redundant_planner.core.robot import Robot
+from redundant_planner.parameter_files import read_parameter_file
 from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import read_parameter_file
 from redundant_planner.scenario import load_scenario, Scenario
 
 Array = npt.NDArray[np.float64]

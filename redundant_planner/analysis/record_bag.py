@@ -20,8 +20,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from redundant_planner.analysis.bag_files import repair
+from redundant_planner.analysis.bag_writer import BagWriter, message_type_known
 from redundant_planner.analysis.printable import printable
-from redundant_planner.analysis.recording import BagWriter, message_type_known
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.nodes.process import best_executor, keep_off_shared_memory
 

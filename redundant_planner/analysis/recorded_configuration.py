@@ -8,8 +8,8 @@ from typing import Any
 import yaml
 
 from redundant_planner.core.errors import PlannerError
-from redundant_planner.core.obstacles import Obstacle
-from redundant_planner.robot_parameters import parameter_values, static_obstacles
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.parameter_files import parameter_values, static_obstacles
 
 # A configuration with its URDF has 0.1 MB, some thousand values and a depth of 5.
 _LONGEST = 2_000_000

@@ -8,16 +8,11 @@ import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 import tempfile
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.serde import SerdeError
-from rosbags.typesys import get_typestore, Stores
 
 from redundant_planner.analysis.bag_files import (
     bag_files,
@@ -25,19 +20,18 @@ from redundant_planner.analysis.bag_files import (
     RecordingError,
     unpacked_message,
 )
+from redundant_planner.analysis.bag_writer import JOINT_STATE, TYPES
 from redundant_planner.core.errors import known
-from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.joint_layout import joint_layout, JointLayout, LayoutError
 from redundant_planner.nodes.obstacle_book import ObstacleBook, Transform
 
 Array = npt.NDArray[np.float64]
 
-_TYPES = get_typestore(Stores.ROS2_JAZZY)
-_JOINT_STATE = 'sensor_msgs/msg/JointState'
 _STRING = 'std_msgs/msg/String'
 # What the topics that are read must hold.
 _EXPECTED = {
-    'joint_states': (_JOINT_STATE,), 'joint_command': (_JOINT_STATE,),
+    'joint_states': (JOINT_STATE,), 'joint_command': (JOINT_STATE,),
     'cmd_vel': ('geometry_msgs/msg/Twist', 'geometry_msgs/msg/TwistStamped'),
     'cmd_vel_preview': ('trajectory_msgs/msg/MultiDOFJointTrajectory',),
     'obstacles': ('visualization_msgs/msg/MarkerArray',), 'robot_description': (_STRING,),
@@ -57,83 +51,6 @@ LARGEST = 1e6
 GAP = 1.0
 # Reasons for leaving messages of a topic out that are spelt out.
 _REASONS = 3
-
-
-class BagWriter:
-    """Writes serialised messages to an MCAP bag, as `ros2 bag record` would."""
-
-    def __init__(self, path: Path) -> None:
-        """Prepare a bag in the new folder `path`.
-
-        Raises:
-            RecordingError: there is something of that name.
-        """
-        if path.exists():
-            raise RecordingError(f"'{path}' exists already; name a new folder")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._writer = Writer(path, version=9,  # Jazzy's
-                              storage_plugin=StoragePlugin.MCAP)
-        self._connections: dict[str, Connection] = {}
-
-    def __enter__(self) -> BagWriter:
-        """Open the bag."""
-        self._writer.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the bag; it is complete and readable from then on."""
-        self._writer.close()
-
-    def add_topic(self, topic: str, message_type: str) -> None:
-        """Announce a topic, its type written as 'sensor_msgs/msg/JointState'."""
-        self._connections[topic] = self._writer.add_connection(
-            topic, message_type, typestore=_TYPES)
-
-    def write(self, topic: str, time_ns: int, message: bytes) -> None:
-        """Append a CDR-serialised message received at `time_ns`."""
-        self._writer.write(self._connections[topic], time_ns, message)
-
-    def flush(self) -> None:
-        """Hand what was written to the system: it survives the process's sudden end.
-
-        Otherwise it waits for a chunk to be full, which at a low rate takes minutes.
-        """
-        storage = self._writer.storage
-        if isinstance(storage, McapWriter) and storage.chunk.msgs:
-            storage.close_chunk()
-            storage.bio.flush()
-
-    def write_joints(
-        self, topic: str, time_ns: int, names: Sequence[str], positions: Array,
-        velocities: Array,
-    ) -> None:
-        """Append a JointState stamped with `time_ns`."""
-        kinds = _TYPES.types
-        stamp = kinds['builtin_interfaces/msg/Time'](time_ns // 10**9, time_ns % 10**9)
-        message = kinds[_JOINT_STATE](
-            kinds['std_msgs/msg/Header'](stamp, ''), list(names), positions, velocities,
-            np.empty(0))
-        self.write(topic, time_ns, bytes(_TYPES.serialize_cdr(message, _JOINT_STATE)))
-
-    def write_twist(self, topic: str, time_ns: int, twist: Array) -> None:
-        """Append a geometry_msgs/Twist of six numbers."""
-        kinds = _TYPES.types
-        vector = kinds['geometry_msgs/msg/Vector3']
-        message = kinds['geometry_msgs/msg/Twist'](vector(*twist[:3]), vector(*twist[3:]))
-        self.write(topic, time_ns, bytes(_TYPES.serialize_cdr(message, 'geometry_msgs/msg/Twist')))
-
-    def write_text(self, topic: str, time_ns: int, text: str) -> None:
-        """Append a std_msgs/String."""
-        message = _TYPES.types['std_msgs/msg/String'](text)
-        self.write(topic, time_ns, bytes(_TYPES.serialize_cdr(message, 'std_msgs/msg/String')))
-
-
-def message_type_known(message_type: str) -> bool:
-    """Return whether a type, as 'sensor_msgs/msg/JointState', can be written to a bag."""
-    return message_type in _TYPES.types
 
 
 class JointChunk(NamedTuple):
@@ -256,7 +173,7 @@ class Bag:
                 except RecordingError as error:
                     self.left_out.add(name, str(error))
                     continue
-                if kind == _JOINT_STATE:
+                if kind == JOINT_STATE:
                     batch = batches.setdefault(name, _JointBatch(name, self.left_out))
                     if not batch.fits(raw):
                         yield from batch.chunk(self.origin_ns)
@@ -409,9 +326,9 @@ def _problem_of(names: Sequence[str]) -> str:
 def _decoded(raw: bytes, kind: str) -> Any:
     """Decode a message; rclpy's serialize_message pads a trailing empty list by four bytes."""
     try:
-        return _TYPES.deserialize_cdr(raw, kind)
+        return TYPES.deserialize_cdr(raw, kind)
     except SerdeError:
-        return _TYPES.deserialize_cdr(raw[:-4], kind)
+        return TYPES.deserialize_cdr(raw[:-4], kind)
 
 
 class ChosenJoints:

@@ -17,12 +17,12 @@ import yaml
 
 from redundant_planner.analysis.bag_analysis import COMMAND_TIMEOUT, robot_of_bag
 from redundant_planner.analysis.bag_files import RecordingError
+from redundant_planner.analysis.bag_writer import BagWriter
 from redundant_planner.analysis.printable import printable
 from redundant_planner.analysis.recorded_configuration import number_of, recorded_obstacles
 from redundant_planner.analysis.recording import (
     as_it_is,
     Bag,
-    BagWriter,
     ChosenJoints,
     Event,
     GAP,
@@ -32,15 +32,15 @@ from redundant_planner.analysis.recording import (
     sound_twist,
 )
 from redundant_planner.core.errors import ParameterError, PlannerError, StateError
-from redundant_planner.core.horizon import Preview, TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
+from redundant_planner.core.preview import Preview, TwistAhead
 from redundant_planner.core.robot import Robot
 from redundant_planner.core.safety import braked
 from redundant_planner.nodes.obstacle_book import ObstacleBook
 from redundant_planner.nodes.preview_reader import read_preview
+from redundant_planner.parameter_files import read_parameter_file, settings_of
 from redundant_planner.recorded_tick import RecordedTick, TickKind
-from redundant_planner.robot_parameters import read_parameter_file, settings_of
 
 Array = npt.NDArray[np.float64]
 

@@ -20,15 +20,14 @@ from redundant_planner.analysis.figures import robot_picture
 from redundant_planner.core.errors import PlannerError, RobotError
 from redundant_planner.core.robot import Robot
 from redundant_planner.link_shapes import capsule_entry, collision_pieces, Fit, fitted_capsules
-from redundant_planner.resources import read_text, resolve
-from redundant_planner.robot_parameters import (
-    build_robot,
-    likely_tip,
+from redundant_planner.parameter_files import (
     read_robot_parameters,
     RobotParameters,
     urdf_folder,
     urdf_text,
 )
+from redundant_planner.resources import read_text, resolve
+from redundant_planner.robot_parameters import build_robot, likely_tip
 
 Array = npt.NDArray[np.float64]
 

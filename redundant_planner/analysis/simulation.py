@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.horizon import TwistAhead
 from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.planner import Planner, StepResult
+from redundant_planner.core.preview import TwistAhead
 
 Array = npt.NDArray[np.float64]
 

@@ -16,9 +16,7 @@ the problem while it is being solved. docs/horizon.md has the derivation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 import math
 from typing import NamedTuple
 
@@ -37,13 +35,10 @@ from redundant_planner.core.compiled import (
     Vector,
 )
 from redundant_planner.core.drift import Pose
-from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles import link_clearance, near_pairs_along, Whitening
 from redundant_planner.core.robot import Chain, fill, Robot
 
 Array = npt.NDArray[np.float64]
-# Times from now (N + 1,) [s] → mean twists (N, 6) from each to the next.
-TwistAhead = Callable[[Array], Array]
 
 # How far one step may move a node in its null space, and how near a link is to an obstacle when
 # it enters the QP [rad, m].
@@ -88,89 +83,6 @@ def node_times(duration: float, nodes: int) -> Array:
 def middles(times: Array) -> Array:
     """Return the times (N,) half way between N + 1 others."""
     return 0.5 * (times[:-1] + times[1:])
-
-
-@dataclass(frozen=True)
-class Preview:
-    """What will be commanded, linear between its points and zero outside.
-
-    Attributes:
-        times: (k,) not descending [s]; two equal ones make a step.
-        twists: (k, 6) [m/s, rad/s].
-    """
-
-    times: Array
-    twists: Array
-
-    def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            StateError: there are no points, lengths differ, a value is not finite or times go
-                backwards.
-        """
-        k = len(self.times)
-        if not k or self.twists.shape != (k, 6):
-            raise StateError(f'the preview has {k} times and twists of shape '
-                             f'{self.twists.shape}; it takes one or more points with six '
-                             'numbers each')
-        if not (np.isfinite(self.times).all() and np.isfinite(self.twists).all()):
-            raise StateError('the preview has a number that is not finite')
-        if (np.diff(self.times) < 0.0).any():
-            at = int((np.diff(self.times) < 0.0).argmax())
-            raise StateError(f'the times of the preview go backwards, from {self.times[at]} to '
-                             f'{self.times[at + 1]} s')
-
-    def at(self, times: Array) -> Array:
-        """Return the twists (N, 6) at times (N,)."""
-        after = np.searchsorted(self.times, times, side='right')
-        inside = (after > 0) & (after < len(self.times))
-        after = np.minimum(np.maximum(after, 1), max(len(self.times) - 1, 0))
-        before = np.maximum(after - 1, 0)
-        span = np.maximum(self.times[after] - self.times[before], np.finfo(float).tiny)
-        share = ((times - self.times[before]) / span)[:, None]
-        twists = (1.0 - share) * self.twists[before] + share * self.twists[after]
-        return np.where(inside[:, None], twists, 0.0)
-
-    def between(self, times: Array) -> Array:
-        """Return the mean twists (N, 6) from each of times (N + 1,) to the next.
-
-        Not those of the middle: where the twist makes a step, what lies ahead would make one
-        whenever a middle passes it.
-        """
-        return np.diff(self._integral(times), axis=0) / np.diff(times)[:, None]
-
-    @cached_property
-    def _integrals(self) -> Array:
-        """The integrals (k, 6) of the twists up to each point."""
-        pieces = 0.5 * (self.twists[:-1] + self.twists[1:]) * np.diff(self.times)[:, None]
-        return np.vstack((np.zeros(6), pieces.cumsum(axis=0)))
-
-    def _integral(self, times: Array) -> Array:
-        """Return the integrals (N, 6) of the twists up to times (N,)."""
-        if len(self.times) == 1:
-            return np.zeros((len(times), 6))
-        before = np.searchsorted(self.times, times, side='right') - 1
-        before = np.minimum(np.maximum(before, 0), len(self.times) - 2)
-        span = np.diff(self.times)[before]
-        elapsed = np.minimum(np.maximum(times - self.times[before], 0.0), span)[:, None]
-        share = elapsed / np.maximum(span, np.finfo(float).tiny)[:, None]
-        step = self.twists[before + 1] - self.twists[before]
-        return self._integrals[before] + elapsed * (self.twists[before] + 0.5 * share * step)
-
-
-def continued(command: Array, growth: float, times: Array) -> Array:
-    """Return the twists (N, 6) at times ahead of a command of which nothing else is known.
-
-    Its direction is held and its size goes on growing or fading as it did, until it is nothing
-    or twice itself: whoever slows down is about to stop.
-
-    Args:
-        command: (6,) now.
-        growth: rate of change of its size, as a share of it [1/s].
-        times: (N,) from now [s].
-    """
-    return np.minimum(np.maximum(1.0 + growth * times, 0.0), 2.0)[:, None] * command
 
 
 class Poses(NamedTuple):

@@ -103,6 +103,8 @@ def _scalar(name: str, spec: Spec, kind: type, value: Any) -> Any:
     return value
 
 
+AXES = ('vx', 'vy', 'vz', 'wx', 'wy', 'wz')
+COMMAND_FRAMES = ('base', 'tool')
 METHODS = ('gradient_projection', 'dynamic_factor', 'variational')
 CLEARANCE_POINTS = ('links', 'joints')
 PATH_PRIORITIES = ('yield', 'strict')

@@ -28,14 +28,7 @@ from redundant_planner.core.compiled import (
 from redundant_planner.core.drift import Pose
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.evasion import Evasion, NO_TURN, Turn
-from redundant_planner.core.horizon import (
-    continued,
-    Horizon,
-    middles,
-    node_times,
-    poses_ahead,
-    TwistAhead,
-)
+from redundant_planner.core.horizon import Horizon, middles, node_times, poses_ahead
 from redundant_planner.core.jacobian import derivative_between, rate_times
 from redundant_planner.core.null_space import Decomposition
 from redundant_planner.core.obstacles import (
@@ -49,6 +42,7 @@ from redundant_planner.core.obstacles import (
     whitening,
 )
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.preview import continued, TwistAhead
 from redundant_planner.core.robot import Kinematics, Robot
 from redundant_planner.core.self_collision import near_links, NearLinks
 

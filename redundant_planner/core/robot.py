@@ -24,13 +24,12 @@ from redundant_planner.core.compiled import (
     Vector,
 )
 from redundant_planner.core.errors import known, ObstacleError, RobotError, shown, StateError
+from redundant_planner.core.numbers import floats_of
+from redundant_planner.core.parameters import AXES, COMMAND_FRAMES
 from redundant_planner.core.self_collision import link_distances
 from redundant_planner.core.urdf import Joint, LARGEST, MOVABLE, read_urdf, Urdf
 
 Array = npt.NDArray[np.float64]
-
-AXES = ('vx', 'vy', 'vz', 'wx', 'wy', 'wz')
-COMMAND_FRAMES = ('base', 'tool')
 
 # How pairs of links are chosen for self-collision: random postures looked at, the share of them
 # above which an overlap is by construction, and the distance [m] that counts as never near.
@@ -514,17 +513,6 @@ def _placements(data: pin.Data) -> tuple[Array, Array]:
 def _read_only(array: Array) -> Array:
     array.setflags(write=False)
     return array
-
-
-def floats_of(values: Any) -> Array:
-    """Return a number or a list of them as floats; a single NaN where it is something else."""
-    # A list of lists of lists may stand for more numbers than there is memory.
-    if isinstance(values, Sequence) and any(isinstance(value, Sequence) for value in values):
-        return np.array(np.nan)
-    try:
-        return np.array(values, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        return np.array(np.nan)
 
 
 def _links(model: pin.Model) -> list[str]:

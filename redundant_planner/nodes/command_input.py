@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import known, StateError
-from redundant_planner.core.horizon import Preview, TwistAhead
+from redundant_planner.core.preview import Preview, TwistAhead
 from redundant_planner.nodes import messages
 from redundant_planner.nodes.preview_reader import read_preview
 

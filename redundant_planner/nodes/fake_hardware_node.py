@@ -13,12 +13,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.joint_motion import joint_ranges, SimulatedArm
+from redundant_planner.core.simulated_arm import joint_ranges, SimulatedArm
 from redundant_planner.node_parameters import FakeHardwareParameters
 from redundant_planner.nodes import messages, process
 from redundant_planner.nodes.joint_messages import JointWriter
 from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
-from redundant_planner.robot_parameters import RobotParameters, urdf_text
+from redundant_planner.parameter_files import RobotParameters, urdf_text
 
 Array = npt.NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.cdr import byte_order, ENCAPSULATION, text
 from redundant_planner.core.errors import known, StateError
-from redundant_planner.core.horizon import Preview
-from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.preview import Preview
 
 Array = npt.NDArray[np.float64]
 

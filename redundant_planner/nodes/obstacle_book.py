@@ -21,7 +21,8 @@ from redundant_planner.core.compiled import (
     Vector,
 )
 from redundant_planner.core.errors import known, ObstacleError, StateError
-from redundant_planner.core.obstacles import Obstacle, rotations, Scene
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import rotations, Scene
 from redundant_planner.nodes.marker_reader import (
     ADD,
     CUBE,

@@ -22,10 +22,10 @@ from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core import drift
 from redundant_planner.core.errors import known, PlannerError, StateError
-from redundant_planner.core.horizon import TwistAhead
 from redundant_planner.core.joint_motion import has_jumped, PositionCommand
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
+from redundant_planner.core.preview import TwistAhead
 from redundant_planner.core.robot import Robot
 from redundant_planner.core.safety import braked
 from redundant_planner.node_parameters import PlannerNodeParameters
@@ -58,15 +58,13 @@ from redundant_planner.nodes.ros_parameters import (
 )
 from redundant_planner.nodes.state_report import diagnostics, LoopState, RobotMarkers, status_of
 from redundant_planner.nodes.transforms import transform_lookup
+from redundant_planner.parameter_files import obstacle_of, RobotParameters, urdf_text
 from redundant_planner.recorded_tick import RecordedTick, TickKind
 from redundant_planner.robot_parameters import (
     build_robot,
     joints_to_measure,
     locked_at,
-    obstacle_of,
     parameter_file_text,
-    RobotParameters,
-    urdf_text,
 )
 
 Array = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 from redundant_planner.cdr import byte_order, signed, words_and_doubles
 from redundant_planner.core.compiled import compiled, Indices
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.horizon import Preview
+from redundant_planner.core.preview import Preview
 from redundant_planner.joint_layout import MOST_JOINTS
 from redundant_planner.nodes.messages import FASTEST, header_of
 

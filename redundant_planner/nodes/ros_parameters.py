@@ -30,7 +30,7 @@ from redundant_planner.node_parameters import (
     PlannerNodeParameters,
     PlayerParameters,
 )
-from redundant_planner.robot_parameters import RobotParameters
+from redundant_planner.parameter_files import RobotParameters
 
 Settings = TypeVar('Settings')
 

@@ -36,8 +36,7 @@ class ScenarioPlayer(process.EndableNode):
         if not settings.scenario:
             raise ParameterError("parameter 'scenario' is empty; give a scenario file")
         self._scenario = load_scenario(resolve(settings.scenario))
-        changes = {'urdf': settings.urdf} if settings.urdf else {}
-        self._base = self._scenario.load_robot(**changes).base_frame
+        self._base = self._scenario.base_frame(settings.urdf)
         self._settle = settings.settle
         self._subscribers = settings.subscribers
         self._preview = (self.create_publisher(MultiDOFJointTrajectory, 'cmd_vel_preview', 1)

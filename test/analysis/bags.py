@@ -6,15 +6,16 @@ from conftest import make_paper_arm
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray, String
 
-from redundant_planner.analysis.recording import BagWriter
+from redundant_planner.analysis.bag_writer import BagWriter
 from redundant_planner.analysis.simulation import simulate
 from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.node_parameters import PlannerNodeParameters
 from redundant_planner.nodes.messages import markers_of
+from redundant_planner.parameter_files import read_robot_parameters
 from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import parameter_file_text, read_robot_parameters
+from redundant_planner.robot_parameters import parameter_file_text
 from redundant_planner.scenario import load_scenario
 
 DT = 0.004

@@ -20,7 +20,8 @@ from redundant_planner.analysis import metrics
 from redundant_planner.analysis.analyze_bag import main as analyze_bag
 from redundant_planner.analysis.bag_analysis import analyse, reduction
 from redundant_planner.analysis.bag_files import RecordingError, repair
-from redundant_planner.analysis.recording import BagWriter, open_bag
+from redundant_planner.analysis.bag_writer import BagWriter
+from redundant_planner.analysis.recording import open_bag
 
 
 @pytest.fixture(scope='module')

@@ -22,8 +22,9 @@ from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 
 from redundant_planner.analysis.bag_files import bag_files, close_mcap, RecordingError, repair
+from redundant_planner.analysis.bag_writer import BagWriter
 from redundant_planner.analysis.record_bag import main as record_bag
-from redundant_planner.analysis.recording import BagWriter, JointChunk, open_bag
+from redundant_planner.analysis.recording import JointChunk, open_bag
 
 COUNT = 60
 

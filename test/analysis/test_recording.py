@@ -10,8 +10,9 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from redundant_planner.analysis.recording import BagWriter, read_recording, RecordingError
-from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.analysis.bag_writer import BagWriter
+from redundant_planner.analysis.recording import read_recording, RecordingError
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.nodes.messages import markers_of
 
 START = 1_700_000_000 * 10**9

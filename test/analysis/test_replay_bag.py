@@ -21,8 +21,8 @@ from redundant_planner.analysis.replay_bag import (
 )
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.parameter_files import settings_of
 from redundant_planner.recorded_tick import RecordedTick, TickKind
-from redundant_planner.robot_parameters import settings_of
 
 
 @pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])

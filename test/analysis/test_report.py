@@ -21,9 +21,11 @@ import pytest
 from redundant_planner.analysis.analyze_bag import main as analyze_bag
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.report import _for_script, page_of
-from redundant_planner.core.obstacles import Obstacle, Scene
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import Scene
+from redundant_planner.parameter_files import read_robot_parameters
 from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import build_robot, read_robot_parameters
+from redundant_planner.robot_parameters import build_robot
 
 # A joint's name, as nobody names a joint.
 MEAN = '</script><script>document.title="__DATA__"</script><!--&amp;<b>'

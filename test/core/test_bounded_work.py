@@ -9,11 +9,11 @@ import pytest
 
 from redundant_planner.core import horizon, safety
 from redundant_planner.core.broad_phase import MOST_NEAR
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.core.obstacles import (
     link_clearance,
     MOST_ACTING,
     MOST_AHEAD_PAIRS,
-    Obstacle,
     Scene,
     whitening,
 )

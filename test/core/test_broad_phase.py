@@ -9,7 +9,8 @@ import pytest
 
 from redundant_planner.core import broad_phase
 from redundant_planner.core.broad_phase import surroundings
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.compiled import compiled, Fields, Matrix, OutVector, Vector
-from redundant_planner.core.obstacles import Obstacle, Scene
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.self_collision import LinkPairs

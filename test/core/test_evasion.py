@@ -8,7 +8,8 @@ import pytest
 
 from redundant_planner.core import evasion
 from redundant_planner.core.evasion import Evasion, NO_TURN
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, Scene, whitening
 from redundant_planner.core.parameters import PlannerParameters
 
 PARAMETERS = PlannerParameters(evasion_horizon=2.0, clearance_margin=0.01, obstacle_lead=0.1)

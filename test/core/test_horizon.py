@@ -23,19 +23,18 @@ from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon import (
     _DAMPING,
     _step_to_pose,
-    continued,
     Horizon,
     middles,
     node_times,
     Poses,
     poses_ahead,
-    Preview,
 )
 from redundant_planner.core.null_space import orthogonal_factors
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
-from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, Scene, whitening
+from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import AXES
+from redundant_planner.core.preview import continued, Preview
 from redundant_planner.resources import share_directory
 from redundant_planner.scenario import load_scenario
 

@@ -71,7 +71,7 @@ def test_smoothing_approaches_equation_7_from_below(robot):
 
 
 def test_influence_fades_to_nothing_and_keeps_everything_at_contact(planar):
-    from redundant_planner.core.obstacles import Obstacle
+    from redundant_planner.core.obstacle import Obstacle
     q = np.array([0.0, 0.3, 0.2])
 
     def at(distance, influence):

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.errors import RobotError
-from redundant_planner.core.joint_motion import (
-    has_jumped,
-    joint_ranges,
-    PositionCommand,
-    SimulatedArm,
-)
+from redundant_planner.core.joint_motion import has_jumped, PositionCommand
+from redundant_planner.core.simulated_arm import joint_ranges, SimulatedArm
 
 
 def make_arm(**start):

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.errors import ObstacleError
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.core.obstacles import (
     clearance_gradients,
     inflated_semi_axes,
     link_clearance,
     near_pairs_along,
-    Obstacle,
     pseudo_distance,
     Scene,
     whitening,

@@ -11,7 +11,8 @@ import pytest
 from test_planner import drive
 
 from redundant_planner.core.errors import ParameterError
-from redundant_planner.core.obstacles import Obstacle, Scene
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.parameters import PlannerParameters, spec_of
 from redundant_planner.core.planner import Planner
 

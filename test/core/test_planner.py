@@ -10,10 +10,11 @@ import pytest
 from redundant_planner.core.drift import integrate, Pose
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.horizon import Horizon
-from redundant_planner.core.obstacles import link_clearance, Obstacle, Scene, whitening
-from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles import link_clearance, Scene, whitening
+from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import _Arm, _fastest_sway, _STRAY, _STRAY_ANGLE, Planner
-from redundant_planner.core.robot import AXES, Capsule
+from redundant_planner.core.robot import Capsule
 from redundant_planner.core.safety import Stage, stopping_time
 
 DT = 0.004

@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 
 from redundant_planner.core.errors import RobotError
-from redundant_planner.core.joint_motion import joint_ranges
 from redundant_planner.core.robot import Robot
+from redundant_planner.core.simulated_arm import joint_ranges
 from redundant_planner.core.urdf import read_urdf
 from redundant_planner.robot_parameters import likely_tip
 

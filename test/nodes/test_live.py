@@ -20,7 +20,7 @@ import yaml
 from redundant_planner.analysis.demo import summarise
 from redundant_planner.analysis.live import Processes
 from redundant_planner.analysis.recording import read_recording
-from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.resources import share_directory
 from redundant_planner.scenario import load_scenario

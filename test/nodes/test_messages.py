@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.nodes.messages import (
     markers_of,
     positions_from_message,

@@ -11,7 +11,7 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import ObstacleError
-from redundant_planner.core.obstacles import Obstacle
+from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.nodes import obstacle_book
 from redundant_planner.nodes.obstacle_book import MOST_FRAMES, ObstacleBook
 

@@ -12,7 +12,7 @@ import pytest
 from rclpy.serialization import serialize_message
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.horizon import Preview
+from redundant_planner.core.preview import Preview
 from redundant_planner.nodes.messages import preview_to_message
 from redundant_planner.nodes.preview_reader import MOST_POINTS, read_preview
 

@@ -27,7 +27,7 @@ from redundant_planner.nodes.ros_parameters import (
     STATIC_OBSTACLE,
     unknown_parameters,
 )
-from redundant_planner.robot_parameters import RobotParameters
+from redundant_planner.parameter_files import RobotParameters
 
 
 @pytest.fixture
