@@ -188,4 +188,6 @@ def parameter_file_text(
                'static_obstacle': {name: dict(entry) for name, entry in static.items()}}
     values = {key: list(value) if isinstance(value, tuple) else value
               for key, value in values.items()}
-    return str(yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False))
+    # In C where there is such: the planner does this between two ticks.
+    dumper = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
+    return str(yaml.dump({'/**': {'ros__parameters': values}}, Dumper=dumper, sort_keys=False))

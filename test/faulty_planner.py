@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 
 import numpy as np
 from rclpy.node import Node
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 
 from redundant_planner.nodes import planner_node, process
 from redundant_planner.nodes.last_word import LastWord
@@ -18,9 +19,23 @@ class FaultyPlannerNode(planner_node.PlannerNode):
     """Breaks where it is told to."""
 
     def __init__(self, last_word):
+        self._times = []
         super().__init__(last_word)
+        self._reports = self.create_publisher(Float64MultiArray, 'command_times', 1)
         self.create_subscription(
             String, 'fault', lambda message: getattr(self, f'break_{message.data}')(), 10)
+
+    def _publish(self, dq, *, known=True):
+        super()._publish(dq, known=known)
+        self._times.append(time.thread_time())
+
+    def break_nothing(self):
+        """Say when commands went out since the last time, in processor time of this thread.
+
+        What a busy machine does meanwhile does not count; and a listener may miss commands.
+        """
+        self._reports.publish(Float64MultiArray(data=self._times))
+        self._times = []
 
     def break_message(self):
         raise ZeroDivisionError('a bad message')
