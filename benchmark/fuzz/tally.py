@@ -18,7 +18,7 @@ from redundant_planner.core.errors import PlannerError
 
 Result = TypeVar('Result')
 
-# An input that takes longer than this stalls its user [s].
+# An input that takes more processor time than this stalls its user [s].
 PATIENCE = 20.0
 
 
@@ -85,10 +85,10 @@ def _in_time() -> Iterator[None]:
     def stall(number: int, frame: FrameType | None) -> None:
         raise StalledError(f'no answer within {PATIENCE:g} s')
 
-    before = signal.signal(signal.SIGALRM, stall)
-    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+    before = signal.signal(signal.SIGPROF, stall)
+    signal.setitimer(signal.ITIMER_PROF, PATIENCE)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
