@@ -54,10 +54,12 @@ class EndableNode(Node):
 
     Attributes:
         done: whether it has come to its end.
+        status: of the process that it is run in, once it has ended.
         guard: counts exceptions.
     """
 
     done = False
+    status = 0
     _spin: Future | None = None
 
     def __init__(self, name: str) -> None:
@@ -228,7 +230,7 @@ def run(make_node: Callable[[], EndableNode], name: str, args: list[str] | None 
             except Exception:
                 traceback.print_exc()
         rclpy.try_shutdown()
-    return 0
+    return node.status
 
 
 def keep_off_shared_memory() -> None:

@@ -54,6 +54,12 @@ class ScenarioPlayer(process.EndableNode):
         self._ready = True
 
     def _tick(self) -> None:
+        if self.guard.count:
+            # Without cmd_vel the planner stops; to go on would be another scenario.
+            self.get_logger().error(f'the scenario ends here: {self.guard.last}')
+            self.status = 1
+            self.end()
+            return
         if self._begin is None:
             topics = [self._twist, self._obstacles] + ([self._preview] if self._preview else [])
             listeners = min(topic.get_subscription_count() for topic in topics)
