@@ -8,6 +8,7 @@ import signal
 import sysconfig
 import time
 
+from hypothesis import HealthCheck, settings
 import numpy as np
 import pytest
 from standstill import Standstill
@@ -19,6 +20,10 @@ from redundant_planner.robot_parameters import load_robot
 
 # Jobs that a shell runs in its background ignore SIGINT, and so would all processes started here.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# An example may take as long as a busy machine lets it.
+settings.register_profile('busy', deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile('busy')
 
 ROBOTS = share_directory() / 'config' / 'robots'
 EXAMPLE_ROBOTS = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share'
