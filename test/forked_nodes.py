@@ -28,11 +28,13 @@ class ForkedProcesses(Processes):
     """Starts nodes as `Processes` does, but faster."""
 
     def start(
-        self, node: str, files: Sequence[Path] = (),
+        self, node: str | Path, files: Sequence[Path] = (),
         values: Mapping[str, object] | None = None, remap: Mapping[str, str] | None = None,
         name: str = '',
-    ) -> Forked:
+    ) -> Forked | subprocess.Popen[bytes]:
         """Start a node of this package; arguments as in `Processes.start`."""
+        if isinstance(node, Path):  # a script, which gets an interpreter of its own
+            return super().start(node, files, values, remap, name)
         child = Forked(node, ros_arguments(files, values, remap), self.environment)
         self._children[name or f'{node} {len(self._children)}'] = child
         return child

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from pathlib import Path
+import subprocess
 import sys
 
 import pytest
@@ -45,7 +46,17 @@ def test_only_nodes_and_the_live_runner_touch_ros():
         assert not used, f'{path} imports {used}'
 
 
-def test_only_one_file_knows_the_bag_format():
+def test_only_two_files_know_the_library_for_bags():
     users = [p.name for p in PACKAGE.rglob('*.py')
              if any(n.startswith('rosbags') for n in imports(p))]
-    assert users == ['recording.py']
+    assert sorted(users) == ['bag_writer.py', 'recording.py']
+
+
+@pytest.mark.parametrize('module', [
+    'nodes.fake_hardware_node', 'nodes.scenario_player', 'analysis.record_bag'])
+def test_who_needs_no_mathematics_loads_none(module):
+    """They start at once, and compile nothing."""
+    code = (f'import sys, redundant_planner.{module}\n'
+            'print(*{"numba", "pinocchio", "daqp", "scipy", "matplotlib"} & set(sys.modules))')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ''
