@@ -205,7 +205,10 @@ def test_pause_leaves_the_arm_alone_and_resumes_from_where_it_is(bench):
     bench.ros.wait_for(lambda: bench.ros.state(['theta6'])[0] < START['theta6'] - 0.1,
                        'the push', meanwhile=push)
     bench.ros.node.destroy_publisher(other)
-    bench.ros.wait_for(lambda: bench.ros.states and not np.any(bench.ros.states[-1].velocity))
+    # A push counts for 0.05 s from its arrival on.
+    settled = time.time() + 0.2
+    bench.ros.wait_for(lambda: seconds_of(bench.ros.states[-1].header.stamp) > settled
+                       and not np.any(bench.ros.states[-1].velocity), 'an arm at rest')
     here = bench.ros.state(ARM.joint_names)
     bench.ros.commands.clear()
     assert 'where the arm is' in bench.ros.call(

@@ -99,7 +99,7 @@ def test_twenty_nodes_join_and_leave_or_hang_or_are_killed(machine, discovery_ra
             passer_by = PasserBy(int(environment['ROS_DOMAIN_ID']), discovery_range,
                                  0.0 if fate == 'hangs' else np.inf)
             present.append((passer_by, fate == 'leaves'))
-            ros.drive(forward, 0.3)
+            ros.drive(forward, 0.2)
             if len(present) == AT_ONCE:
                 one_goes()
             if i % 6 == 5:
@@ -111,7 +111,7 @@ def test_twenty_nodes_join_and_leave_or_hang_or_are_killed(machine, discovery_ra
             passer_by.kill()
     stamps = np.array([seconds_of(message.header.stamp) for message in commands])
     periods = np.diff(stamps)
-    assert len(stamps) > 200.0 * 0.3 * COUNT
+    assert len(stamps) > 200.0 * 0.2 * COUNT
     pauses = [(begin, end, machine.lost(begin, end)) for begin, end in pairwise(stamps)
               if end - begin > LONGEST]
     for begin, end, lost in pauses:
