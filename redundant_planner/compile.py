@@ -13,28 +13,23 @@ import subprocess
 import sys
 import time
 
-_CORE = 'redundant_planner.core'
 # Steps of two lanes each: modules that do not import each other.
-_STEPS = (
-    (('null_space', 'drift'), ('jacobian', 'obstacles')),
-    (('indices', 'self_collision', 'robot'), ('broad_phase', 'safety', 'joint_motion')),
-    (('horizon',), ('evasion', 'nodes')),
-    (('planner',), ()),
+STEPS = (
+    (('core.null_space', 'core.drift'), ('core.jacobian', 'core.obstacles')),
+    (('core.indices', 'core.self_collision', 'core.robot'),
+     ('core.broad_phase', 'core.safety', 'core.joint_motion')),
+    (('core.horizon',), ('core.evasion', 'nodes.obstacle_book', 'nodes.preview_reader')),
+    (('core.planner',), ()),
 )
-_NODES = 'redundant_planner.nodes.obstacle_book'
-
-
-def _module(name: str) -> str:
-    return _NODES if name == 'nodes' else f'{_CORE}.{name}'
 
 
 def main() -> int:
     """Compile everything; return the process's exit status."""
     begin = time.monotonic()
     print('compiling the mathematics of redundant_planner', flush=True)
-    for lanes in _STEPS:
+    for lanes in STEPS:
         children = [subprocess.Popen(
-            [sys.executable, '-c', ''.join(f'import {_module(name)}\n' for name in lane)],
+            [sys.executable, '-c', '\n'.join(f'import redundant_planner.{name}' for name in lane)],
             stderr=subprocess.PIPE, text=True) for lane in lanes if lane]
         for child in children:
             _, errors = child.communicate()

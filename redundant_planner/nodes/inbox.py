@@ -14,6 +14,9 @@ class Inbox:
 
     A callback per message costs rclpy's executor as much as a whole tick does, and delays the
     tick that falls due meanwhile.
+
+    Attributes:
+        topic: its name.
     """
 
     def __init__(
@@ -28,7 +31,7 @@ class Inbox:
             topic: its name.
             qos: its depth is what the inbox holds.
         """
-        self._kind = kind
+        self._kind, self.topic = kind, topic
         self._subscription = node.create_subscription(
             kind, topic, lambda message: None, qos, raw=True)
         # Executors serve whatever is in this list; rclpy has no option to leave something out.

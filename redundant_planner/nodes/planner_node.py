@@ -258,15 +258,14 @@ class PlannerNode(process.EndableNode):
             robot.acceleration_max.tolist(), self._period, self._settings.thread_priority)
 
     def _subscribe(self) -> None:
-        command, sensors = self._command, qos_profile_sensor_data
-        if self._settings.enable_stamped_cmd_vel:
-            self.create_subscription(
-                TwistStamped, 'cmd_vel', command.on_twist_stamped, sensors, raw=True)
-        else:
-            self.create_subscription(Twist, 'cmd_vel', command.on_twist, sensors, raw=True)
+        command, stamped = self._command, self._settings.enable_stamped_cmd_vel
+        # Fetched by the tick: other callbacks that wait do not make them old.
+        self._inboxes: list[tuple[Inbox, Callable[[bytes], None]]] = [
+            (Inbox(self, JointState, 'joint_states'), self._on_joint_state),
+            (Inbox(self, TwistStamped if stamped else Twist, 'cmd_vel'),
+             command.on_twist_stamped if stamped else command.on_twist)]
         self.create_subscription(
             MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1, raw=True)
-        self._joint_states = Inbox(self, JointState, 'joint_states')
         self.create_subscription(
             MarkerArray, 'obstacles', self._on_obstacles, 10, raw=True)
         self.create_service(SetBool, '~/pause', self._on_pause)
@@ -319,7 +318,8 @@ class PlannerNode(process.EndableNode):
             self._robot_parameters, self.robot, self._static, self._planner_parameters,
             self._settings)))
 
-    def _on_joint_state(self, message: bytes, now: float) -> None:
+    def _on_joint_state(self, message: bytes) -> None:
+        now = self._tick_time
         try:
             q = self._joints.positions(message)
         except StateError as error:
@@ -378,16 +378,17 @@ class PlannerNode(process.EndableNode):
     def _tick(self) -> None:
         """Command the arm once; an exception that nobody foresaw brings it to rest."""
         begin = time.perf_counter()
-        states = self.guard.call('reading joint_states', self._joint_states.fetch) or []
+        messages = [(inbox.topic, take, message) for inbox, take in self._inboxes
+                    for message in self.guard.call(f'reading {inbox.topic}', inbox.fetch) or ()]
         now = self._tick_time = self._now()
         if self._now is time.monotonic:  # simulated time does not pass while a callback waits
             self._beat.begin(now)
         self._out, self._no_time = False, ''
-        for state in states:
+        for topic, take, message in messages:
             try:
-                self._on_joint_state(state, now)
+                take(message)
             except Exception as error:
-                self.guard.caught('reading joint_states', error)
+                self.guard.caught(f'reading {topic}', error)
         try:
             if self._reset_asked and self._dq is None:
                 self._start_anew()

@@ -308,7 +308,8 @@ def test_twists_and_factors_that_are_no_numbers_are_left_out(tmp_path):
 
 @pytest.mark.parametrize(('names', 'reason'), [
     ((), 'they name no joint'), (tuple(map(str, range(300))), 'they name 300 joints'),
-    (('\x1b[2J',), 'their joint names are no text'), (('a' * 9000,), 'a name in it has 9000 bytes')])
+    (('\x1b[2J',), 'their joint names are no text'),
+    (('a' * 9000,), 'a name in it has 9000 bytes')])
 def test_joint_states_that_name_no_joints_are_left_out(tmp_path, names, reason):
     with pytest.raises(RecordingError, match=reason):
         analyse(write_states(tmp_path / 'bag', [0.0], [0.0], names))

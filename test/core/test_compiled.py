@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 from pathlib import Path
@@ -12,7 +13,18 @@ from conftest import make_panda, PANDA_READY
 import numpy as np
 import pytest
 
-from redundant_planner.core.compiled import compiled, Fields, Matrix, OutVector, Vector
+import redundant_planner
+from redundant_planner import compile
+from redundant_planner.core.compiled import (
+    _private,
+    compiled,
+    drop_damaged,
+    Fields,
+    Matrix,
+    OutVector,
+    seal,
+    Vector,
+)
 from redundant_planner.core.obstacle import Obstacle
 from redundant_planner.core.obstacles import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -74,3 +86,74 @@ def test_tuples_go_in_as_their_fields_and_arrays_can_be_filled():
     assert fill((np.array([1.0, 2.0]), np.ones((2, 2, 3))), np.array([[2.0, 0.0], [3.0, 0.0]]),
                 result) == np.inf
     np.testing.assert_array_equal(result, [3.0, 7.0])
+
+
+def spoil(file, how):
+    content = file.read_bytes()
+    file.write_bytes({
+        'empty': b'', 'cut': content[:len(content) // 2],
+        'altered': content[:-9] + bytes([content[-9] ^ 255]) + content[-8:]}[how])
+
+
+@pytest.mark.parametrize('how', ['empty', 'cut', 'altered', 'unsealed'])
+def test_damaged_machine_code_is_not_kept(tmp_path, how):
+    for name in ('a.one-1.py312.nbi', 'a.one-1.py312.1.nbc', 'a.other-9.py312.nbi'):
+        (tmp_path / name).write_bytes(b'machine code')
+    seal(tmp_path, '.one-')
+    seal(tmp_path, '.other-')
+    drop_damaged(tmp_path)
+    assert len(list(tmp_path.glob('*.nb?'))) == 3
+    bad = tmp_path / 'a.one-1.py312.1.nbc'
+    if how == 'unsealed':
+        bad.with_name(bad.name + '.sum').unlink()
+    else:
+        spoil(bad, how)
+    drop_damaged(tmp_path)
+    assert not bad.exists() and len(list(tmp_path.glob('*.nb?'))) == 2
+
+
+def test_a_start_with_damaged_machine_code_compiles_it_anew(tmp_path):
+    """Each kept file of a module spoilt in some way; the module works, and is kept again."""
+    code = ('import numpy as np; from redundant_planner.core import jacobian; '
+            'print(jacobian.derivative_times.stats)')
+
+    def start():
+        done = subprocess.run(
+            [sys.executable, '-c', code], capture_output=True, text=True, check=True,
+            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)})
+        return done.stdout, done.stderr
+
+    assert 'compiling' in start()[1]
+    said, complaint = start()
+    assert not complaint and 'cache_misses=Counter()' in said
+    files = sorted(file for kind in ('*.nbi', '*.nbc') for file in tmp_path.rglob(kind))
+    assert len(files) >= 6
+    for file, how in zip(files, itertools.cycle(['empty', 'cut', 'altered'])):
+        spoil(file, how)
+    assert 'compiling' in start()[1]
+    assert not start()[1]
+
+
+@pytest.mark.parametrize('mode', [0o777, 0o770])
+def test_machine_code_that_others_can_write_is_not_loaded(tmp_path, mode):
+    folder = tmp_path / 'kept'
+    folder.mkdir()
+    assert _private(folder)
+    folder.chmod(mode)
+    assert not _private(folder)
+    (tmp_path / 'file').touch()
+    assert not _private(tmp_path / 'file' / 'below')
+
+
+def test_compile_knows_every_module_with_compiled_functions():
+    """What it leaves out would be compiled at the first start of a node."""
+    package = Path(redundant_planner.__file__).parent
+    named = [f'redundant_planner.{name}' for lanes in compile.STEPS for lane in lanes
+             for name in lane]
+    code = f'import {", ".join(named)}, sys; print(*sys.modules)'
+    loaded = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                            check=True).stdout.split()
+    for file in package.rglob('*.py'):
+        if any(line in ('@compiled', '@kernel') for line in file.read_text().splitlines()):
+            parts = file.relative_to(package).with_suffix('').parts
+            assert '.'.join(('redundant_planner', *parts)) in loaded
