@@ -282,7 +282,7 @@ PLANNER_FAULTS = [
     ([*FILE, '-p', 'joint_weights:=[1.0]'], "'joint_weights' has 1 entries; it takes 7"),
     ([*FILE, '-p', 'static_obstacles:=[o]'], "obstacle 'o' lacks 'center'"),
     ([*FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0]'],
-     "'static_obstacle.o.center' is [0.0, 0.0]; it takes 3 numbers"),
+     "'static_obstacle.o.center' is [0.0, 0.0]; it takes 3 finite numbers"),
     ([*FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0, 1.0]',
       '-p', 'static_obstacle.o.semi_axes:=[0.1, 0.0, 1.0]'], 'all three must be positive'),
     (['--params-file', '/no/such.yaml'], '/no/such.yaml'),
