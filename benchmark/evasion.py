@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmark.generator import DURATION, Task
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import link_clearance, Scene, whitening
-from redundant_planner.core.robot import Capsule, Robot
+from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.robot.model import Capsule, Robot
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -60,7 +60,7 @@ def unavoidable(robot: Robot, task: Task) -> bool:
             if not scene.names:
                 continue
             pairs = link_clearance(
-                whitening(scene, np.zeros(1)), arms.segment_start[chosen, i:i + 1],
+                inflated_ellipsoids(scene, np.zeros(1)), arms.segment_start[chosen, i:i + 1],
                 arms.segment_end[chosen, i:i + 1], np.zeros(len(chosen)))
             free &= (pairs.clearance >= 0.0).all(axis=(1, 2))
         left = np.zeros(len(postures), dtype=bool)

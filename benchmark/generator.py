@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core import null_space
-from redundant_planner.core.drift import integrate, Pose, pose_error
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import link_clearance, Scene, whitening
-from redundant_planner.core.robot import Robot
-from redundant_planner.core.self_collision import link_distances
+from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.self_collision import link_distances
+from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import integrate, Pose, pose_error
 
 Array = npt.NDArray[np.float64]
 
@@ -198,7 +198,7 @@ def _clearances(robot: Robot, obstacle: Obstacle, ends: tuple[Array, Array], mar
     """Return ρ (k, c) of one obstacle against links widened by `margin` along a path."""
     k, c = ends[0].shape[:2]
     radii = np.tile([capsule.radius + margin for capsule in robot.capsules], k)
-    maps = whitening(Scene.of([obstacle]), radii)
+    maps = inflated_ellipsoids(Scene.of([obstacle]), radii)
     pairs = link_clearance(maps, ends[0].reshape(-1, 3), ends[1].reshape(-1, 3))
     return pairs.clearance.reshape(k, c)
 

@@ -14,17 +14,18 @@ from rich.table import Table
 from benchmark.generator import DURATION, generate, path_poses
 from benchmark.optimum import Optimum
 from benchmark.scenarios import DT, make_robot
-from redundant_planner.analysis import metrics, paper
+from redundant_planner.analysis import metrics
 from redundant_planner.analysis.figures import joint_curves
-from redundant_planner.analysis.simulation import simulate
-from redundant_planner.core.drift import integrate, Pose
-from redundant_planner.core.horizon import middles
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.horizon.path_qp import middles
+from redundant_planner.core.horizon.preview import TwistAhead
+from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.preview import TwistAhead
-from redundant_planner.core.robot import Robot
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import integrate, Pose
+from redundant_planner.paper import experiment
+from redundant_planner.simulation import simulate
 
 Array = npt.NDArray[np.float64]
 
@@ -76,21 +77,21 @@ def print_table(title: str, robot: Robot, found: dict[str, tuple[Array, Array]])
 
 def main() -> None:
     """Draw both figures and print both tables."""
-    scenario = paper.paper_scenario()
-    robot = paper.paper_robot(scenario)
+    scenario = experiment.paper_scenario()
+    robot = experiment.paper_robot(scenario)
     start = scenario.start_posture(robot)
     arm = robot.kinematics(start)
     poses = [Pose(arm.tip_position, arm.tip_rotation)]
     for i in range(round(scenario.duration / DT)):
         poses.append(integrate(poses[-1], scenario.twist_at(i * DT), DT, False))
-    traditional = replace(paper.methods()['gradient_projection_links'],
+    traditional = replace(experiment.methods()['gradient_projection_links'],
                           clearance_margin=PlannerParameters().clearance_margin)
     found = compare(robot, start, scenario.twist_at, scenario.preview().between,
                     scenario.duration, scenario.obstacles, poses,
                     {'traditional': traditional, **_OURS})
     print_table("The paper's scenario, whole links clear by the default margin", robot, found)
-    columns = [robot.joint_names.index(name) for name in paper.JOINTS]
-    joint_curves(_FOLDER / 'horizon_paper.png', paper.JOINTS, 'displacement [rad, m]',
+    columns = [robot.joint_names.index(name) for name in experiment.JOINTS]
+    joint_curves(_FOLDER / 'horizon_paper.png', experiment.JOINTS, 'displacement [rad, m]',
                  {name: (_STYLES[name], times, positions[:, columns])
                   for name, (times, positions) in found.items()},
                  "The paper's scenario, whole links clear")

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from benchmark.generator import path_poses, Task
 from redundant_planner.analysis.metrics import distance_to_path
-from redundant_planner.core.robot import Robot
+from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
 

@@ -33,15 +33,15 @@ from rich.table import Table
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from redundant_planner.analysis.live import cpu_seconds, Processes
-from redundant_planner.analysis.reproduce_paper import panda_urdf
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import link_clearance, Scene, whitening
-from redundant_planner.core.robot import Robot
+from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.resources import share_directory
+from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.messages import markers_of, twist_to_message
-from redundant_planner.nodes.process import best_executor, keep_off_shared_memory
-from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import load_robot
+from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+from redundant_planner.tools.live_run import cpu_seconds, Processes
+from redundant_planner.tools.reproduce_paper import panda_urdf
 
 Array = npt.NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def obstacle_messages(robot: Robot, start: Array, count: int, seed: int = 0) -> 
         ball = Obstacle('o', random.uniform((-1.2, -1.2, -0.3), (1.2, 1.2, 1.4)),
                         random.uniform(0.02, 0.05, 3))
         pairs = link_clearance(
-            whitening(Scene.of([ball]), radii), arm.segment_start, arm.segment_end)
+            inflated_ellipsoids(Scene.of([ball]), radii), arm.segment_start, arm.segment_end)
         if pairs.clearance.min() > 0.0:
             centers.append(ball.center)
     directions = random.normal(size=(count, 3))

@@ -14,12 +14,12 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core import drift
-from redundant_planner.core.drift import Pose
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import Scene, whitening
+from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.robot import Robot
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
 
 Array = npt.NDArray[np.float64]
 
@@ -81,7 +81,7 @@ class Optimum:
     def _problem(self) -> tuple[ca.Function, tuple[Array, Array]]:
         robot, n = self._robot, self._robot.n
         scene = self._scene
-        maps = whitening(scene, [c.radius + self._margin for c in robot.capsules])
+        maps = inflated_ellipsoids(scene, [c.radius + self._margin for c in robot.capsules])
         q = ca.SX.sym('q', n)
         tip, ends = _forward(robot, q)
         pose = ca.SX.sym('pose', 12)
@@ -143,7 +143,7 @@ class Optimum:
                 q = q + speed * step * aside
             for _ in range(3):
                 arm = robot.kinematics(q)
-                error = drift.pose_error(
+                error = se3.pose_error(
                     pose, Pose(arm.tip_position, arm.tip_rotation), robot.in_tool)
                 q = q + np.linalg.pinv(arm.jacobian, rcond=0.02) @ robot.task_rows(error)
             q = np.clip(q, self._low, self._high)

@@ -23,9 +23,9 @@ from pink.limits import ConfigurationLimit, VelocityLimit
 import pinocchio as pin
 
 from benchmark.judge import rotation_to
-from redundant_planner.core.drift import Pose
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.robot import Capsule, Robot
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.robot.model import Capsule, Robot
+from redundant_planner.core.robot.se3 import Pose
 
 Array = npt.NDArray[np.float64]
 

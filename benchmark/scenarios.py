@@ -21,14 +21,14 @@ from rich.table import Table
 from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, path_poses, Task
 from benchmark.judge import Judge, Verdict
-from redundant_planner.analysis.reproduce_paper import find_panda
-from redundant_planner.core.horizon import middles
-from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.horizon.path_qp import middles
+from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import Robot
-from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import load_robot
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.resources import share_directory
+from redundant_planner.io.robot_files import load_robot
+from redundant_planner.tools.reproduce_paper import find_panda
 
 if TYPE_CHECKING:
     from benchmark.peers import Peer

@@ -27,14 +27,20 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmark.scenarios import make_robot
-from redundant_planner.core import null_space, safety
-from redundant_planner.core.drift import integrate, Pose
-from redundant_planner.core.jacobian import derivative_between
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import link_clearance, near_pairs, Scene, whitening
+from redundant_planner.core.obstacles.clearance import (
+    inflated_ellipsoids,
+    link_clearance,
+    near_pairs,
+    Scene,
+)
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import Robot
+from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.robot.jacobian import derivative_between
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import integrate, Pose
+from redundant_planner.core.safety import safety_filter
 
 Array = npt.NDArray[np.float64]
 
@@ -63,7 +69,7 @@ def obstacles_around(robot: Robot, start: Array, count: int, where: str) -> list
     while len(found) < count:
         batch = [Obstacle(f'o{len(found) + i}', random.uniform(*_EXTENTS[where]),
                           random.uniform(0.02, 0.05, 3)) for i in range(count)]
-        clear = link_clearance(whitening(Scene.of(batch), radii), arm.segment_start,
+        clear = link_clearance(inflated_ellipsoids(Scene.of(batch), radii), arm.segment_start,
                                arm.segment_end).clearance.min(axis=0) > 0.0
         found += [obstacle for obstacle, free in zip(batch, clear) if free]
     return found[:count]
@@ -116,14 +122,14 @@ def sections(
     robot: Robot, start: Array, obstacles: list[Obstacle], ticks: int,
 ) -> dict[str, float]:
     """Return where a tick's time goes, each part by itself, called from Python [us]."""
-    maps = whitening(Scene.of(obstacles), [c.radius for c in robot.capsules])
+    maps = inflated_ellipsoids(Scene.of(obstacles), [c.radius for c in robot.capsules])
     arm, p = robot.kinematics(start), PlannerParameters()
     speeds = robot.levers @ robot.acceleration_max * _DT  # of the first tick from rest
     all_seen = np.full(len(speeds), np.inf)
     near = near_pairs(
         maps, arm.segment_start, arm.segment_end, arm.columns, robot.moves, speeds,
         p.barrier_gain, p.influence_distance, all_seen)
-    limits = safety.Limits(np.array((robot.position_max, robot.position_min)),
+    limits = safety_filter.Limits(np.array((robot.position_max, robot.position_min)),
                            robot.velocity_max, robot.acceleration_max)
     at_rest, twist = np.zeros(robot.n), robot.task_rows(_TWIST)
     parts = {
@@ -135,9 +141,9 @@ def sections(
         'derivative of J': lambda: derivative_between(
             twist, arm.tip_jacobian, start, arm.tip_rotation, robot.in_tool, robot.rows),
         # From rest the arm cannot follow at once, so here there is one to solve.
-        'filter with a QP': lambda: safety.safe_velocity(
+        'filter with a QP': lambda: safety_filter.safe_velocity(
             np.linalg.pinv(arm.jacobian) @ twist, True, arm.jacobian, twist, start, at_rest,
-            limits, safety.Barriers(near.gradient, near.rate, near.clearance),
+            limits, safety_filter.Barriers(near.gradient, near.rate, near.clearance),
             weights=np.ones(robot.n), gain=p.barrier_gain, may_yield=False, dt=_DT),
     }
     return {name: _median(part, ticks) for name, part in parts.items()}

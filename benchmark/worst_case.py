@@ -29,11 +29,11 @@ from rich.table import Table
 
 from benchmark.scenarios import make_robot
 from benchmark.speed import planner_times, STARTS
-from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.horizon.preview import Preview
+from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.preview import Preview
-from redundant_planner.core.robot import Robot
+from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
-from redundant_planner.scenario import load_scenario
+from redundant_planner.io.scenario import load_scenario
 
 
 def generate_launch_description() -> LaunchDescription:

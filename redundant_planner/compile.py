@@ -15,10 +15,12 @@ import time
 
 # Steps of two lanes each: modules that do not import each other.
 STEPS = (
-    (('core.null_space', 'core.drift'), ('core.jacobian', 'core.obstacles')),
-    (('core.indices', 'core.self_collision', 'core.robot'),
-     ('core.broad_phase', 'core.safety', 'core.joint_motion')),
-    (('core.horizon',), ('core.evasion', 'nodes.obstacle_book', 'nodes.preview_reader')),
+    (('core.redundancy.null_space', 'core.robot.se3'),
+     ('core.robot.jacobian', 'core.obstacles.clearance')),
+    (('core.redundancy.criteria', 'core.obstacles.self_collision', 'core.robot.model'),
+     ('core.obstacles.nearby', 'core.safety.safety_filter', 'core.safety.stopping')),
+    (('core.horizon.path_qp',),
+     ('core.obstacles.evasion', 'io.obstacle_tracker', 'io.preview_reader')),
     (('core.planner',), ()),
 )
 

@@ -14,9 +14,9 @@ import pytest
 from standstill import Standstill
 
 from redundant_planner.core.parameters import AXES
-from redundant_planner.core.robot import Robot
-from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import load_robot
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.resources import share_directory
+from redundant_planner.io.robot_files import load_robot
 
 # Jobs that a shell runs in its background ignore SIGINT, and so would all processes started here.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -162,9 +162,9 @@ def _paper_run(method, folder, domain):
     """Play once, or up to three times more where the motion was interrupted for a moment."""
     from forked_nodes import ForkedProcesses
 
-    from redundant_planner.analysis.live import play
-    from redundant_planner.analysis.recording import read_recording
-    from redundant_planner.scenario import load_scenario
+    from redundant_planner.io.recording import read_recording
+    from redundant_planner.io.scenario import load_scenario
+    from redundant_planner.tools.live_run import play
     file = share_directory() / 'config' / 'scenarios' / 'paper.yaml'
     for attempt in range(4):
         bag = play(load_scenario(file), file, folder / f'{method}_{attempt}', domain_id=domain,

@@ -11,7 +11,7 @@ import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, String
 
-from redundant_planner.nodes import planner_node, process
+from redundant_planner.nodes import planner_node, runtime
 from redundant_planner.nodes.last_word import LastWord
 
 
@@ -88,4 +88,4 @@ class FaultyPlannerNode(planner_node.PlannerNode):
 
 if __name__ == '__main__':
     last_word = LastWord.stand_by(None)
-    sys.exit(process.run(lambda: FaultyPlannerNode(last_word), 'planner_node'))
+    sys.exit(runtime.run(lambda: FaultyPlannerNode(last_word), 'planner_node'))

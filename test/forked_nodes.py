@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 
-from redundant_planner.analysis.live import _die_with, Processes, ros_arguments
+from redundant_planner.tools.live_run import _die_with, Processes, ros_arguments
 
 FORKS = get_context('forkserver')
 FORKS.set_forkserver_preload([

@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.nodes.messages import twist_to_message
-from redundant_planner.nodes.process import best_executor, keep_off_shared_memory
+from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 keep_off_shared_memory()

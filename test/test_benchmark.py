@@ -9,11 +9,11 @@ from conftest import make_panda, make_planar, PANDA_READY, random_postures
 import numpy as np
 import pytest
 
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import link_clearance, Scene, whitening
+from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.robot import Capsule
-from redundant_planner.nodes.obstacle_book import ObstacleBook
+from redundant_planner.core.robot.model import Capsule
+from redundant_planner.io.obstacle_tracker import ObstacleTracker
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmark import loop, speed
@@ -31,7 +31,8 @@ def test_a_seed_gives_the_same_task_and_its_start_is_clear(panda, moving):
         np.testing.assert_array_equal(task.twist, again.twist)
         assert 1 <= len(task.obstacles) <= 3
         arm = panda.kinematics(task.start)
-        maps = whitening(Scene.of(task.obstacles), [c.radius + 0.03 for c in panda.capsules])
+        maps = inflated_ellipsoids(
+            Scene.of(task.obstacles), [c.radius + 0.03 for c in panda.capsules])
         assert link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min() > 0.0
         assert any(o.velocity.any() for o in task.obstacles) == moving
         distance = 0.5 * DURATION * np.linalg.norm(task.twist[:3])
@@ -163,11 +164,11 @@ def test_the_loops_obstacles_leave_the_start_free():
     robot = make_panda()
     frames = loop.obstacle_messages(robot, loop._STARTS['panda'], 5)
     assert len(frames) == 60
-    book = ObstacleBook((), ['panda_link0'])
+    book = ObstacleTracker((), ['panda_link0'])
     for frame in frames:
         assert book.update(frame, 0.0) == []
         arm = robot.kinematics(loop._STARTS['panda'])
-        maps = whitening(book.scene, [c.radius for c in robot.capsules])
+        maps = inflated_ellipsoids(book.scene, [c.radius for c in robot.capsules])
         assert link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min() > 0.0
 
 

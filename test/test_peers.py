@@ -9,10 +9,10 @@ from conftest import MAKERS, random_postures
 import numpy as np
 import pytest
 
-from redundant_planner.core.drift import integrate, Pose
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import link_clearance, Scene, whitening
-from redundant_planner.core.self_collision import link_distances
+from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.self_collision import link_distances
+from redundant_planner.core.robot.se3 import integrate, Pose
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 pytest.importorskip('mink')
@@ -52,7 +52,7 @@ def test_they_follow_the_path_and_stop_at_the_obstacle(library):
             pose = integrate(pose, np.array([0.1, 0, 0, 0, 0, 0]), 0.004, False)
             posture = posture + 0.004 * peer.step(posture, pose, 0.004)
             now = robot.kinematics(posture)
-            maps = whitening(Scene.of([ball]), [c.radius for c in robot.capsules])
+            maps = inflated_ellipsoids(Scene.of([ball]), [c.radius for c in robot.capsules])
             closest = min(closest, link_clearance(
                 maps, now.segment_start, now.segment_end).clearance.min())
         reached = np.linalg.norm(robot.kinematics(posture).tip_position - pose.position)

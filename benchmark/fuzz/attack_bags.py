@@ -29,17 +29,29 @@ from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 from benchmark.fuzz.tally import Tally
-from redundant_planner.analysis.analyze_bag import (
+from redundant_planner.analysis.bag_analysis import analyse, Analysis
+from redundant_planner.analysis.report import page_of, write_figures
+from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.io.bag_files import repair
+from redundant_planner.io.parameter_files import read_robot_parameters, settings_of
+from redundant_planner.io.recorded_tick import RecordedTick, TickKind
+from redundant_planner.io.recording import open_bag, read_recording
+from redundant_planner.io.resources import share_directory
+from redundant_planner.io.robot_files import load_robot, parameter_file_text
+from redundant_planner.io.scenario import load_scenario
+from redundant_planner.nodes.messages import markers_of
+from redundant_planner.nodes.ros_parameters import PlannerNodeParameters
+from redundant_planner.simulation import simulate
+from redundant_planner.tools.analyze_bag import (
     as_json,
     joint_table,
     main as analyze_bag,
     motion_table,
     reductions,
 )
-from redundant_planner.analysis.bag_analysis import analyse, Analysis
-from redundant_planner.analysis.bag_files import repair
-from redundant_planner.analysis.recording import open_bag, read_recording
-from redundant_planner.analysis.replay_bag import (
+from redundant_planner.tools.replay_bag import (
     _ticks_of_topics,
     again,
     Inputs,
@@ -49,18 +61,6 @@ from redundant_planner.analysis.replay_bag import (
     Replay,
     write_replay,
 )
-from redundant_planner.analysis.report import page_of, write_figures
-from redundant_planner.analysis.simulation import simulate
-from redundant_planner.core.obstacles import Scene
-from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.planner import Planner
-from redundant_planner.nodes.messages import markers_of
-from redundant_planner.nodes.ros_parameters import PlannerNodeParameters
-from redundant_planner.parameter_files import read_robot_parameters, settings_of
-from redundant_planner.recorded_tick import RecordedTick, TickKind
-from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import load_robot, parameter_file_text
-from redundant_planner.scenario import load_scenario
 
 Random = np.random.Generator
 

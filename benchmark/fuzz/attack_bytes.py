@@ -23,12 +23,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 from benchmark.fuzz.tally import Tally
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import Robot
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.resources import share_directory
+from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.joint_messages import JointReader
-from redundant_planner.nodes.obstacle_book import ObstacleBook
-from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import load_robot
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
@@ -56,7 +56,7 @@ def attack(random: Random, folder: Path, tally: Tally) -> None:
     command = CommandInput(
         {robot.base_frame: 'base', robot.tip_frame: 'tool'}, 'base', lambda: clock[0],
         lambda: 1e9 + clock[0], sentences.append)
-    book = ObstacleBook((), ['', robot.base_frame], transform=lambda frame: (
+    book = ObstacleTracker((), ['', robot.base_frame], transform=lambda frame: (
         np.array([0.1, 0.0, 0.0]), np.eye(3)), estimate_velocity=True)
     joints = JointReader(robot.joint_names)
     planner, q, dq = Planner(robot, PlannerParameters(
@@ -86,7 +86,7 @@ def attack(random: Random, folder: Path, tally: Tally) -> None:
 
 
 def _ticks(
-    tally: Tally, planner: Planner, command: CommandInput, book: ObstacleBook, q: Array,
+    tally: Tally, planner: Planner, command: CommandInput, book: ObstacleTracker, q: Array,
     dq: Array, clock: list[float],
 ) -> tuple[Array, Array]:
     """Let the planner act on what came through; return where the arm is, and its velocity."""

@@ -16,12 +16,15 @@ from typing import Any
 import numpy as np
 
 from benchmark.fuzz.tally import Tally
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters, spec_of
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import Robot
-from redundant_planner.nodes.obstacle_book import checked
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.obstacle_tracker import checked
+from redundant_planner.io.parameter_files import obstacle_of, RobotParameters
+from redundant_planner.io.resources import share_directory
+from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.ros_parameters import (
     CAPSULE,
     changed,
@@ -31,9 +34,6 @@ from redundant_planner.nodes.ros_parameters import (
     PlayerParameters,
     STATIC_OBSTACLE,
 )
-from redundant_planner.parameter_files import obstacle_of, RobotParameters
-from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import load_robot
 
 Random = np.random.Generator
 

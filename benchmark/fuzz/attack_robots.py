@@ -15,17 +15,17 @@ import yaml
 
 from benchmark.fuzz.mutations import NUMBERS, pick, spoilt_bytes, spoilt_numbers
 from benchmark.fuzz.tally import Tally
-from redundant_planner.analysis.show_robot import parameter_file
-from redundant_planner.core.capsule_fit import distances, Shape
-from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import Robot
-from redundant_planner.core.simulated_arm import joint_ranges, SimulatedArm
-from redundant_planner.link_shapes import collision_pieces
-from redundant_planner.parameter_files import RobotParameters
-from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import build_robot, likely_tip
+from redundant_planner.core.robot.capsule_fit import distances, Shape
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
+from redundant_planner.io.link_shapes import collision_pieces
+from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.resources import share_directory
+from redundant_planner.io.robot_files import build_robot, likely_tip
+from redundant_planner.tools.show_robot import parameter_file
 
 _PANDA = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share' / 'example-robot-data'
           / 'robots' / 'panda_description' / 'urdf' / 'panda.urdf')

@@ -12,14 +12,28 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
-from redundant_planner.analysis.bag_files import RecordingError
-from redundant_planner.analysis.printable import printable
-from redundant_planner.analysis.recorded_configuration import (
+from redundant_planner.core.errors import PlannerError
+from redundant_planner.core.obstacles.clearance import (
+    inflated_ellipsoids,
+    InflatedEllipsoids,
+    link_clearance,
+    pseudo_distance,
+    Scene,
+)
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.io.bag_files import RecordingError
+from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.printable import printable
+from redundant_planner.io.recorded_configuration import (
     configuration_of,
     number_of,
     recorded_obstacles,
 )
-from redundant_planner.analysis.recording import (
+from redundant_planner.io.recording import (
     as_it_is,
     Bag,
     ChosenJoints,
@@ -30,22 +44,8 @@ from redundant_planner.analysis.recording import (
     open_bag,
     sound_twist,
 )
-from redundant_planner.core import drift
-from redundant_planner.core.drift import Pose
-from redundant_planner.core.errors import PlannerError
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import (
-    link_clearance,
-    pseudo_distance,
-    Scene,
-    Whitening,
-    whitening,
-)
-from redundant_planner.core.robot import Robot
-from redundant_planner.nodes.obstacle_book import ObstacleBook
-from redundant_planner.parameter_files import RobotParameters
-from redundant_planner.resources import resolve
-from redundant_planner.robot_parameters import build_robot, likely_tip, load_robot, robot_of_values
+from redundant_planner.io.resources import resolve
+from redundant_planner.io.robot_files import build_robot, likely_tip, load_robot, robot_of_values
 
 Array = npt.NDArray[np.float64]
 
@@ -266,7 +266,7 @@ class _Clearances:
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._radii = np.array([capsule.radius for capsule in robot.capsules])
-        self._maps: tuple[Scene, Whitening] | None = None
+        self._maps: tuple[Scene, InflatedEllipsoids] | None = None
         self.smallest: metrics.Clearance | None = None
         self.distance = np.inf
 
@@ -276,7 +276,7 @@ class _Clearances:
         if not scene.names or not len(self._radii):
             return result
         if self._maps is None or self._maps[0] is not scene:
-            self._maps = scene, whitening(scene, self._radii)
+            self._maps = scene, inflated_ellipsoids(scene, self._radii)
         maps = self._maps[1]
         step = max(_BLOCK // (len(self._radii) * len(scene.names)), 1)
         for begin in range(0, len(postures), step):
@@ -394,7 +394,7 @@ def _analyse(
     bag: Bag, source: str, robot: Robot | None, values: dict[str, Any], begin: float, end: float,
     progress: Callable[[float], None] | None, notes: list[str],
 ) -> Analysis:
-    book = ObstacleBook(recorded_obstacles(values, notes), (), transform=as_it_is)
+    book = ObstacleTracker(recorded_obstacles(values, notes), (), transform=as_it_is)
     scenes = _Scenes(book.scene)
     commands = _Commands(number_of(values, 'incoming_command_timeout', COMMAND_TIMEOUT, 10.0))
     clearances = _Clearances(robot) if robot is not None else None
@@ -523,7 +523,7 @@ def path_errors(
             if not moving[i]:
                 break
             step = float(times[i + 1] - times[i])
-            pose = drift.integrate(
+            pose = se3.integrate(
                 pose, twists[i], step if 0.0 < step <= GAP else 0.0, robot.in_tool)
             points.append(pose.position)
         path: Array = np.array(points)

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.robot import Robot
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
 

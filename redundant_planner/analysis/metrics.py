@@ -8,10 +8,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.drift import integrate, Pose
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import link_clearance, pseudo_distance, Scene, whitening
-from redundant_planner.core.robot import Robot
+from redundant_planner.core.obstacles.clearance import (
+    inflated_ellipsoids,
+    link_clearance,
+    pseudo_distance,
+    Scene,
+)
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import integrate, Pose
 
 Array = npt.NDArray[np.float64]
 
@@ -68,10 +73,10 @@ def smallest_clearance(
         return best
     if points == 'links':
         names = [c.name for c in robot.capsules]
-        maps = whitening(scene, [c.radius for c in robot.capsules])
+        maps = inflated_ellipsoids(scene, [c.radius for c in robot.capsules])
     else:
         names = [*robot.joint_names, robot.tip_frame]
-        maps = whitening(scene, np.zeros(robot.n + 1))
+        maps = inflated_ellipsoids(scene, np.zeros(robot.n + 1))
     for i, q in enumerate(positions):
         if points == 'links':
             arm = robot.kinematics(q)

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core import drift, indices, null_space, safety
-from redundant_planner.core.broad_phase import everything, FEW, Surroundings, surroundings
-from redundant_planner.core.compiled import (
+from redundant_planner.core.errors import ParameterError, StateError
+from redundant_planner.core.horizon.path_qp import Horizon, middles, node_times, poses_ahead
+from redundant_planner.core.horizon.preview import continued, TwistAhead
+from redundant_planner.core.kernels import (
     compiled,
     Fields,
     IndexPairs,
@@ -25,26 +26,27 @@ from redundant_planner.core.compiled import (
     OutVector,
     Vector,
 )
-from redundant_planner.core.drift import Pose
-from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.evasion import Evasion, NO_TURN, Turn
-from redundant_planner.core.horizon import Horizon, middles, node_times, poses_ahead
-from redundant_planner.core.jacobian import derivative_between, rate_times
-from redundant_planner.core.null_space import Decomposition
-from redundant_planner.core.obstacles import (
+from redundant_planner.core.obstacles.clearance import (
     clearance_gradients,
+    inflated_ellipsoids,
+    InflatedEllipsoids,
     link_clearance,
     near_pairs,
     NearPairs,
     pseudo_distance,
     Scene,
-    Whitening,
-    whitening,
 )
+from redundant_planner.core.obstacles.evasion import Evasion, NO_TURN, Turn
+from redundant_planner.core.obstacles.nearby import everything, FEW, Surroundings, surroundings
+from redundant_planner.core.obstacles.self_collision import near_links, NearLinks
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.preview import continued, TwistAhead
-from redundant_planner.core.robot import Kinematics, Robot
-from redundant_planner.core.self_collision import near_links, NearLinks
+from redundant_planner.core.redundancy import criteria, null_space
+from redundant_planner.core.redundancy.null_space import Decomposition
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.jacobian import derivative_between, jdot_qdot
+from redundant_planner.core.robot.model import Kinematics, Robot
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety import safety_filter as safety
 
 Array = npt.NDArray[np.float64]
 
@@ -477,7 +479,7 @@ class Planner:
 
     def _shortest_path(
         self, arm: Kinematics, reference: Pose, command: Array, ahead: TwistAhead | None,
-        maps: Whitening, dt: float,
+        maps: InflatedEllipsoids, dt: float,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
 
@@ -545,13 +547,13 @@ class Planner:
         if p.clearance_points != 'joints':
             return None
         points = robot.joint_points(arm.q)
-        maps = whitening(scene, np.zeros(len(points)))
+        maps = inflated_ellipsoids(scene, np.zeros(len(points)))
         pairs = link_clearance(maps, points, points)
         every = np.isfinite(pairs.clearance).nonzero()
         gradient, _ = clearance_gradients(
             maps, pairs, every, points, points, arm.columns,
             moves=np.tril(np.ones((len(points), robot.n))))
-        return indices.clearance_index(
+        return criteria.clearance_index(
             pairs.clearance.ravel(), pairs.distance.ravel(), gradient, p.clearance_smoothing,
             p.influence_distance)
 
@@ -643,14 +645,14 @@ def _task(
     """
     p, rows = _Settings(*settings), constants.rows
     pose = Pose(arm.tip_position, arm.tip_rotation)
-    apart = drift.pose_error(reference, pose, constants.in_tool)
+    apart = se3.pose_error(reference, pose, constants.in_tool)
     error = np.zeros(6)
     for row in rows:
         error[row] = apart[row]
-    kept = drift.bounded(error, p.drift_distance, p.drift_angle)
+    kept = se3.bounded(error, p.drift_distance, p.drift_angle)
     if len(rows) < 6 or (kept != error).any():
-        reference = drift.displaced(pose, kept, constants.in_tool)
-    correction = drift.feedback(kept, p.drift_gain, p.drift_speed, p.drift_angular_speed)
+        reference = se3.displaced(pose, kept, constants.in_tool)
+    correction = se3.feedback(kept, p.drift_gain, p.drift_speed, p.drift_angular_speed)
     if np.abs(command).max() == 0.0 and np.abs(kept).max() < _AT_REST:
         correction[:] = 0.0
     wanted, back, turning = np.zeros((3, len(rows)))
@@ -658,7 +660,7 @@ def _task(
         wanted[i], back[i] = command[rows[i]], correction[rows[i]]
     if p.drift_gain > 0.0:
         # J turns while the arm moves: half of that belongs to the tick ahead.
-        turning[:] = 0.5 * dt * rate_times(
+        turning[:] = 0.5 * dt * jdot_qdot(
             arm.tip_jacobian, previous, arm.tip_rotation, constants.in_tool, rows)
     return _Task(wanted, back, turning, kept, reference.position, reference.rotation)
 
@@ -672,7 +674,7 @@ def _take_along(
     twist = np.zeros(6)
     for i in range(len(rows)):
         twist[rows[i]] = followed[i]
-    pose = drift.integrate(Pose(position.copy(), rotation.copy()), twist, dt, in_tool)
+    pose = se3.integrate(Pose(position.copy(), rotation.copy()), twist, dt, in_tool)
     position[:], rotation[:] = pose
 
 
@@ -774,7 +776,7 @@ def _fastest_sway(arm: Kinematics, sway: Vector, constants: _Arm) -> float:
     has been moved aside by |J̇ h| T²/8 at the end (docs/safety.md). That grows with the fourth
     power of the speed. Infinite where h is far from that.
     """
-    rate = rate_times(
+    rate = jdot_qdot(
         arm.tip_jacobian, sway, arm.tip_rotation, constants.in_tool, constants.rows)
     squared, squared_angle = 0.0, 0.0
     for i in range(len(rate)):
@@ -822,10 +824,10 @@ def _total_gradient(
     scaling = constants.scaling
     joint_limit, shortest_path, manipulability = np.zeros((3, len(scaling)))
     if p.k_s > 0.0:
-        _, joint_limit = indices.joint_limit_index(
+        _, joint_limit = criteria.joint_limit_index(
             arm.q, constants.position_min, constants.position_max)
     if p.k_f > 0.0:
-        _, shortest_path = indices.shortest_path_index(least_norm, derivative_between(
+        _, shortest_path = criteria.shortest_path_index(least_norm, derivative_between(
             null_space.dual(parts, gains, twist), arm.tip_jacobian, scaling * least_norm,
             arm.tip_rotation, constants.in_tool, constants.rows))
     nearness = parts.singular_values[-1] / max(p.singularity_margin, 1e-9) - 1.0
@@ -835,16 +837,16 @@ def _total_gradient(
             changes[i] = derivative_between(
                 parts.left[:, i], arm.tip_jacobian, scaling * parts.right[i],
                 arm.tip_rotation, constants.in_tool, constants.rows)
-        _, manipulability = indices.manipulability_index(parts, changes)
-        manipulability = indices.fade(nearness) * manipulability
-    return indices.total_gradient(
+        _, manipulability = criteria.manipulability_index(parts, changes)
+        manipulability = criteria.fade(nearness) * manipulability
+    return criteria.total_gradient(
         clearance, joint_limit, shortest_path, manipulability, p.k_w, p.k_s, p.k_f, p.k_m)
 
 
 @kernel
 def _barriers(
     arm: Kinematics, parts: Decomposition, near: NearPairs, own: NearLinks, turn: Turn,
-    previous: Vector, constants: _Arm, maps: Whitening, p: _Settings, dt: float,
+    previous: Vector, constants: _Arm, maps: InflatedEllipsoids, p: _Settings, dt: float,
 ) -> _Barriers:
     """Return what keeps the arm off obstacles, itself and singularities, and from whipping.
 
@@ -901,7 +903,7 @@ def _barriers(
 @compiled
 def _desired(
     arm: Fields[Kinematics], position: Vector, rotation: Matrix, command: Vector,
-    maps: Fields[Whitening], constants: Fields[_Arm], settings: Fields[_Settings],
+    maps: Fields[InflatedEllipsoids], constants: Fields[_Arm], settings: Fields[_Settings],
     previous: Vector, range_at: Vector, ranges: Vector, known_at: OutVector, known: OutVector,
     fixed_gain: bool, guided: float, path: Vector, by_joints: bool,
     joint_clearance_index: float, joint_clearance: Vector, turn: Fields[Turn], dt: float,
@@ -923,7 +925,7 @@ def _desired(
         turn: of the first joints, out of an obstacle's course.
         dt: [s].
     """
-    arm, maps, plain = Kinematics(*arm), Whitening(*maps), constants
+    arm, maps, plain = Kinematics(*arm), InflatedEllipsoids(*maps), constants
     constants, p = _Arm(*constants), _Settings(*settings)
     scaling = constants.scaling
 
@@ -949,7 +951,7 @@ def _desired(
         known_at, known)
 
     # k P∇H, Eqs. 1, 2 and 18.
-    level, clearance = indices.clearance_index(
+    level, clearance = criteria.clearance_index(
         near.clearance, near.distance, near.gradient, p.clearance_smoothing,
         p.influence_distance)
     if by_joints:

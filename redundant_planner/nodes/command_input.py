@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import known, StateError
-from redundant_planner.core.preview import Preview, TwistAhead
+from redundant_planner.core.horizon.preview import Preview, TwistAhead
+from redundant_planner.io.preview_reader import read_preview
 from redundant_planner.nodes import messages
-from redundant_planner.nodes.preview_reader import read_preview
 
 Array = npt.NDArray[np.float64]
 

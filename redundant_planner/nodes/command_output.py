@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from redundant_planner.node_parameters import JOINT_TRAJECTORY, POSITION_COMMANDS
+from redundant_planner.io.node_parameters import JOINT_TRAJECTORY, POSITION_COMMANDS
 from redundant_planner.nodes.joint_messages import JointWriter
 
 Array = npt.NDArray[np.float64]

@@ -13,17 +13,17 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.simulated_arm import joint_ranges, SimulatedArm
-from redundant_planner.node_parameters import FakeHardwareParameters
-from redundant_planner.nodes import messages, process
+from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
+from redundant_planner.io.node_parameters import FakeHardwareParameters
+from redundant_planner.io.parameter_files import RobotParameters, urdf_text
+from redundant_planner.nodes import messages, runtime
 from redundant_planner.nodes.joint_messages import JointWriter
 from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
-from redundant_planner.parameter_files import RobotParameters, urdf_text
 
 Array = npt.NDArray[np.float64]
 
 
-class FakeHardwareNode(process.EndableNode):
+class FakeHardwareNode(runtime.EndableNode):
     """Stands in for an arm: obeys velocities within the URDF's limits, and echoes its state."""
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class FakeHardwareNode(process.EndableNode):
             JointState, 'joint_command', self._on_command, qos_profile_sensor_data)
         self.create_timer(1.0 / settings.rate, self._tick,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
-        process.request_priority(settings.thread_priority)
+        runtime.request_priority(settings.thread_priority)
         self.get_logger().info(
             f'simulating {", ".join(self._arm.ranges.names)} at {settings.rate} Hz')
 
@@ -96,7 +96,7 @@ class FakeHardwareNode(process.EndableNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run fake_hardware_node."""
-    return process.run(FakeHardwareNode, 'fake_hardware_node', args)
+    return runtime.run(FakeHardwareNode, 'fake_hardware_node', args)
 
 
 if __name__ == '__main__':

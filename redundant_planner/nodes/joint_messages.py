@@ -13,7 +13,7 @@ import numpy.typing as npt
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from redundant_planner.joint_layout import joint_layout, JointLayout, STAMP
+from redundant_planner.io.joint_layout import joint_layout, JointLayout, STAMP
 from redundant_planner.nodes.messages import LARGEST, NANOSECONDS, values_of
 
 Array = npt.NDArray[np.float64]

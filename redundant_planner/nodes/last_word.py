@@ -29,9 +29,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from redundant_planner.core.joint_motion import PositionCommand
-from redundant_planner.core.safety import braked
-from redundant_planner.nodes import process
+from redundant_planner.core.safety.safety_filter import braked
+from redundant_planner.core.safety.stopping import PositionCommand
+from redundant_planner.nodes import runtime
 from redundant_planner.nodes.command_output import CommandOutput
 
 Array = npt.NDArray[np.float64]
@@ -167,7 +167,7 @@ class LastWord:
         Args:
             args: command line for `rclpy.init`.
         """
-        process.keep_off_shared_memory()
+        runtime.keep_off_shared_memory()
         try:
             memory = mmap.mmap(-1, _SIZE)
             read_end, write_end = os.pipe()
@@ -295,7 +295,7 @@ def _wait_and_speak(pipe: int, memory: mmap.mmap, args: list[str] | None) -> Non
             cli_args=['--ros-args', *remap], start_parameter_services=False,
             parameter_overrides=[Parameter('start_type_description_service', value=False)])
         output = CommandOutput(node, brief.joint_names, brief.outputs, brief.period)
-        process.request_priority(brief.priority)
+        runtime.request_priority(brief.priority)
         memory[_STATE] = _HAS_STARTED
         while not select.select([lines], [], [], _LOOK)[0]:
             _NUMBER.pack_into(memory, _OWN_LISTENERS, output.listeners())

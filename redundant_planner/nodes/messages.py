@@ -14,10 +14,10 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
-from redundant_planner.cdr import byte_order, ENCAPSULATION, text
 from redundant_planner.core.errors import known, StateError
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.preview import Preview
+from redundant_planner.core.horizon.preview import Preview
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.io.cdr import byte_order, ENCAPSULATION, text
 
 Array = npt.NDArray[np.float64]
 

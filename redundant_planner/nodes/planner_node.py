@@ -20,21 +20,29 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from redundant_planner.core import drift
 from redundant_planner.core.errors import known, PlannerError, StateError
-from redundant_planner.core.joint_motion import has_jumped, PositionCommand
+from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.preview import TwistAhead
-from redundant_planner.core.robot import Robot
-from redundant_planner.core.safety import braked
-from redundant_planner.node_parameters import PlannerNodeParameters
-from redundant_planner.nodes import process
-from redundant_planner.nodes.beat import Beat, wake_up_in_time
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.safety.safety_filter import braked
+from redundant_planner.core.safety.stopping import has_jumped, PositionCommand
+from redundant_planner.io.node_parameters import PlannerNodeParameters
+from redundant_planner.io.obstacle_tracker import checked, ObstacleTracker
+from redundant_planner.io.parameter_files import obstacle_of, RobotParameters, urdf_text
+from redundant_planner.io.recorded_tick import RecordedTick, TickKind
+from redundant_planner.io.robot_files import (
+    build_robot,
+    joints_to_measure,
+    locked_at,
+    parameter_file_text,
+)
+from redundant_planner.nodes import runtime
 from redundant_planner.nodes.command_input import CommandInput, sender_names
 from redundant_planner.nodes.command_output import CommandOutput
+from redundant_planner.nodes.command_pacer import CommandPacer, wake_up_in_time
 from redundant_planner.nodes.guard import line_of
-from redundant_planner.nodes.inbox import Inbox
 from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.last_word import (
     ACKNOWLEDGED,
@@ -47,7 +55,7 @@ from redundant_planner.nodes.last_word import (
     SUFFIX,
 )
 from redundant_planner.nodes.messages import NANOSECONDS
-from redundant_planner.nodes.obstacle_book import checked, ObstacleBook
+from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.ros_parameters import (
     CAPSULE,
     declare,
@@ -58,14 +66,6 @@ from redundant_planner.nodes.ros_parameters import (
 )
 from redundant_planner.nodes.state_report import diagnostics, LoopState, RobotMarkers, status_of
 from redundant_planner.nodes.transforms import transform_lookup
-from redundant_planner.parameter_files import obstacle_of, RobotParameters, urdf_text
-from redundant_planner.recorded_tick import RecordedTick, TickKind
-from redundant_planner.robot_parameters import (
-    build_robot,
-    joints_to_measure,
-    locked_at,
-    parameter_file_text,
-)
 
 Array = npt.NDArray[np.float64]
 
@@ -87,7 +87,7 @@ _OBSTACLE_MESSAGES = 100
 _CONFIGURATION_PAUSE = 0.25
 
 
-class PlannerNode(process.EndableNode):
+class PlannerNode(runtime.EndableNode):
     """Runs `Planner.step` on the latest inputs at a fixed rate.
 
     Whatever is not needed for the command of a tick is done after that command is out. A tick
@@ -147,7 +147,7 @@ class PlannerNode(process.EndableNode):
         self._reason = ''
         self._said: dict[str, float] = {}
         self._period = 1.0 / self._settings.rate
-        self._beat = Beat(self._period)
+        self._beat = CommandPacer(self._period)
         self._ahead = False  # whether a tick has run before the timer asked for it
         self._out = False  # whether this tick's command is out
         self._no_time = ''  # why the loop's clock stands still
@@ -207,7 +207,7 @@ class PlannerNode(process.EndableNode):
         self._planner = Planner(robot, self._planner_parameters)
         self._position_command = PositionCommand(
             robot.position_min, robot.position_max, self._settings.position_tolerance)
-        self._obstacles = ObstacleBook(
+        self._obstacles = ObstacleTracker(
             static, sorted({robot.base_frame, ''}),
             transform=transform_lookup(self, robot.base_frame),
             estimate_velocity=self._settings.estimate_obstacle_velocity)
@@ -241,7 +241,7 @@ class PlannerNode(process.EndableNode):
         if self._now is not time.monotonic:
             self.create_timer(self._period, self._while_time_stands,
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
-        if not process.request_priority(self._settings.thread_priority):
+        if not runtime.request_priority(self._settings.thread_priority):
             self.get_logger().info(
                 'no real-time priority: the system does not grant it (see README, timing)')
         self.get_logger().info(
@@ -260,9 +260,9 @@ class PlannerNode(process.EndableNode):
     def _subscribe(self) -> None:
         command, stamped = self._command, self._settings.enable_stamped_cmd_vel
         # Fetched by the tick: other callbacks that wait do not make them old.
-        self._inboxes: list[tuple[Inbox, Callable[[bytes], None]]] = [
-            (Inbox(self, JointState, 'joint_states'), self._on_joint_state),
-            (Inbox(self, TwistStamped if stamped else Twist, 'cmd_vel'),
+        self._inboxes: list[tuple[PolledSubscription, Callable[[bytes], None]]] = [
+            (PolledSubscription(self, JointState, 'joint_states'), self._on_joint_state),
+            (PolledSubscription(self, TwistStamped if stamped else Twist, 'cmd_vel'),
              command.on_twist_stamped if stamped else command.on_twist)]
         self.create_subscription(
             MultiDOFJointTrajectory, 'cmd_vel_preview', command.on_preview, 1, raw=True)
@@ -515,7 +515,7 @@ class PlannerNode(process.EndableNode):
         if self._command.frame == self.robot.command_frame:
             return twist
         rotation = self.robot.kinematics(q).tip_rotation
-        return drift.turned(twist, rotation if self._command.frame == 'tool' else rotation.T)
+        return se3.turned(twist, rotation if self._command.frame == 'tool' else rotation.T)
 
     def _publish(self, dq: Array, *, known: bool = True) -> None:
         assert self._q is not None
@@ -648,7 +648,7 @@ class PlannerNode(process.EndableNode):
 def main(args: list[str] | None = None) -> int:
     """Run planner_node."""
     last_word = LastWord.stand_by(args)
-    return process.run(lambda: PlannerNode(last_word), 'planner_node', args)
+    return runtime.run(lambda: PlannerNode(last_word), 'planner_node', args)
 
 
 if __name__ == '__main__':

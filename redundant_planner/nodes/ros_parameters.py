@@ -25,12 +25,12 @@ import yaml
 
 from redundant_planner.core.errors import ParameterError, PlannerError, shown, unknown_names
 from redundant_planner.core.parameters import checked, PlannerParameters, spec_of
-from redundant_planner.node_parameters import (
+from redundant_planner.io.node_parameters import (
     FakeHardwareParameters,
     PlannerNodeParameters,
     PlayerParameters,
 )
-from redundant_planner.parameter_files import RobotParameters
+from redundant_planner.io.parameter_files import RobotParameters
 
 Settings = TypeVar('Settings')
 

@@ -13,14 +13,14 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import ParameterError
-from redundant_planner.node_parameters import PlayerParameters
-from redundant_planner.nodes import messages, process
+from redundant_planner.io.node_parameters import PlayerParameters
+from redundant_planner.io.resources import resolve
+from redundant_planner.io.scenario import load_scenario
+from redundant_planner.nodes import messages, runtime
 from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
-from redundant_planner.resources import resolve
-from redundant_planner.scenario import load_scenario
 
 
-class ScenarioPlayer(process.EndableNode):
+class ScenarioPlayer(runtime.EndableNode):
     """Plays one scenario once the planner listens and commands the arm."""
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class ScenarioPlayer(process.EndableNode):
         self._twist = self.create_publisher(Twist, 'cmd_vel', 10)
         self._obstacles = self.create_publisher(MarkerArray, 'obstacles', 10)
         self.create_subscription(JointState, 'joint_command', self._on_joint_command, 10)
-        process.request_priority(settings.thread_priority)
+        runtime.request_priority(settings.thread_priority)
         self.create_timer(1.0 / settings.rate, self._tick,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -86,7 +86,7 @@ class ScenarioPlayer(process.EndableNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run scenario_player."""
-    return process.run(ScenarioPlayer, 'scenario_player', args)
+    return runtime.run(ScenarioPlayer, 'scenario_player', args)
 
 
 if __name__ == '__main__':

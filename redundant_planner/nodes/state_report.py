@@ -13,9 +13,9 @@ import numpy.typing as npt
 import pinocchio as pin
 from visualization_msgs.msg import Marker, MarkerArray
 
-from redundant_planner.core.obstacles import Scene, surface_point
+from redundant_planner.core.obstacles.clearance import Scene, surface_point
 from redundant_planner.core.planner import Nearest, StepResult
-from redundant_planner.core.robot import Kinematics, Robot
+from redundant_planner.core.robot.model import Kinematics, Robot
 
 Array = npt.NDArray[np.float64]
 

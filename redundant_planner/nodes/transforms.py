@@ -9,8 +9,8 @@ from rclpy.node import Node
 from rclpy.time import Time
 
 from redundant_planner.core.errors import ObstacleError
-from redundant_planner.core.obstacles import rotations
-from redundant_planner.nodes.obstacle_book import Transform
+from redundant_planner.core.obstacles.clearance import rotations
+from redundant_planner.io.obstacle_tracker import Transform
 
 
 def transform_lookup(node: Node, base_frame: str) -> Callable[[str], Transform] | None:

@@ -17,11 +17,11 @@ from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 
 from redundant_planner.analysis import metrics
-from redundant_planner.analysis.analyze_bag import main as analyze_bag
 from redundant_planner.analysis.bag_analysis import analyse, reduction
-from redundant_planner.analysis.bag_files import RecordingError, repair
-from redundant_planner.analysis.bag_writer import BagWriter
-from redundant_planner.analysis.recording import open_bag
+from redundant_planner.io.bag_files import RecordingError, repair
+from redundant_planner.io.bag_writer import BagWriter
+from redundant_planner.io.recording import open_bag
+from redundant_planner.tools.analyze_bag import main as analyze_bag
 
 
 @pytest.fixture(scope='module')

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.analysis import metrics
-from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles.obstacle import Obstacle
 
 
 def test_displacement_and_path_differ_when_a_joint_turns_back():

@@ -18,14 +18,14 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from redundant_planner.analysis.analyze_bag import main as analyze_bag
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.report import _for_script, page_of
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import Scene
-from redundant_planner.parameter_files import read_robot_parameters
-from redundant_planner.resources import share_directory
-from redundant_planner.robot_parameters import build_robot
+from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.io.parameter_files import read_robot_parameters
+from redundant_planner.io.resources import share_directory
+from redundant_planner.io.robot_files import build_robot
+from redundant_planner.tools.analyze_bag import main as analyze_bag
 
 # A joint's name, as nobody names a joint.
 MEAN = '</script><script>document.title="__DATA__"</script><!--&amp;<b>'
@@ -116,7 +116,7 @@ def test_the_view_plays_without_an_error_on_a_screen_and_on_a_phone(
     pytest.importorskip('PySide6.QtWebEngineCore', reason='pip install ".[browser]" brings it',
                         exc_type=ImportError)
     done = subprocess.run(
-        [sys.executable, str(Path(__file__).parent / 'browser.py'),
+        [sys.executable, str(Path(__file__).parent.parent / 'browser.py'),
          str(report / 'report.html'), str(width), str(height), str(tmp_path)],
         capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr

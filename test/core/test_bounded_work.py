@@ -7,18 +7,19 @@ import daqp
 import numpy as np
 import pytest
 
-from redundant_planner.core import horizon, safety
-from redundant_planner.core.broad_phase import MOST_NEAR
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import (
+from redundant_planner.core.horizon import path_qp
+from redundant_planner.core.obstacles.clearance import (
+    inflated_ellipsoids,
     link_clearance,
     MOST_ACTING,
     MOST_AHEAD_PAIRS,
     Scene,
-    whitening,
 )
+from redundant_planner.core.obstacles.nearby import MOST_NEAR
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
+from redundant_planner.core.safety import safety_filter
 
 PANDA = make_panda()
 RADII = np.array([capsule.radius for capsule in PANDA.capsules])
@@ -36,7 +37,7 @@ def crowd(q, count, seed, gap, size=0.03):
         center = point + away / np.linalg.norm(away) * (
             RADII[link] + size + gap + 0.3 * random.random() ** 2)
         ball = Obstacle(f'o{len(found)}', center, np.full(3, size))
-        clear = link_clearance(whitening(Scene.of([ball]), RADII), arm.segment_start,
+        clear = link_clearance(inflated_ellipsoids(Scene.of([ball]), RADII), arm.segment_start,
                                arm.segment_end).distance
         if clear.min() > gap:
             found.append(ball)
@@ -48,7 +49,7 @@ def crowd(q, count, seed, gap, size=0.03):
 def test_an_arm_hits_none_of_more_obstacles_than_a_tick_takes_in(method, seed):
     random = np.random.default_rng(seed)
     scene = crowd(PANDA_READY, 3 * MOST_NEAR, seed, 0.03)
-    maps = whitening(scene, RADII)
+    maps = inflated_ellipsoids(scene, RADII)
     planner, q, previous = Planner(PANDA, PlannerParameters(method=method)), PANDA_READY, 0.0
     least, fallbacks, way = np.inf, set(), 0.0
     for i in range(350):
@@ -94,7 +95,7 @@ def test_obstacles_that_appear_around_the_links_make_no_problem_larger_than_it_m
             assert len(problems) <= 5, 'four stages of the filter and a step of the path ahead'
             for rows, limit, iterations in problems:
                 assert iterations <= limit <= max(
-                    safety._MOST_ITERATIONS, horizon._MOST_ITERATIONS)
+                    safety_filter._MOST_ITERATIONS, path_qp._MOST_ITERATIONS)
                 links = len(PANDA.self_pairs)
                 assert rows <= 6 + max(MOST_ACTING + 4 + links + 2, MOST_AHEAD_PAIRS + 12 * 7)
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from functools import cache
 
+from closed_loop import drive
 from conftest import make_paper_arm
 import numpy as np
 import pytest
-from test_planner import drive
 
 from redundant_planner.core.errors import ParameterError
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import Scene
+from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters, spec_of
 from redundant_planner.core.planner import Planner
 

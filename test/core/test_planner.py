@@ -2,46 +2,26 @@
 
 from __future__ import annotations
 
+from closed_loop import drive, DT, NOTHING, smallest_level
 from conftest import make_panda, make_paper_arm, make_planar, PANDA_READY, random_postures
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
-from redundant_planner.core.drift import integrate, Pose
 from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.horizon import Horizon
-from redundant_planner.core.obstacle import Obstacle
-from redundant_planner.core.obstacles import link_clearance, Scene, whitening
+from redundant_planner.core.horizon.path_qp import Horizon
+from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import _Arm, _fastest_sway, _STRAY, _STRAY_ANGLE, Planner
-from redundant_planner.core.robot import Capsule
-from redundant_planner.core.safety import Stage, stopping_time
+from redundant_planner.core.robot.model import Capsule
+from redundant_planner.core.robot.se3 import integrate, Pose
+from redundant_planner.core.safety.safety_filter import Stage, stopping_time
 
-DT = 0.004
-NOTHING = Scene.of()
 LETTER = {
     'clearance_points': 'joints', 'clearance_smoothing': 0.0, 'influence_distance': np.inf,
     'damping': 0.0, 'damping_threshold': 0.0, 'drift_gain': 0.0, 'safety_filter': False,
     'clearance_margin': 0.0, 'position_margin': 0.0, 'k_w': 1.0, 'k_m': 0.0}
-
-
-def drive(planner, q, twist, scene=NOTHING, seconds=1.0, dt=DT, ahead=None):
-    """Integrate the closed loop; return the postures and results of every tick."""
-    postures, results = [np.array(q, dtype=float)], []
-    for i in range(round(seconds / dt)):
-        now = twist(i * dt) if callable(twist) else twist
-        results.append(planner.step(postures[-1], now, scene, dt, ahead))
-        postures.append(postures[-1] + dt * results[-1].dq)
-    return np.array(postures), results
-
-
-def smallest_level(robot, postures, scene):
-    maps = whitening(scene, [c.radius for c in robot.capsules])
-    levels = []
-    for q in postures:
-        arm = robot.kinematics(q)
-        levels.append(link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min())
-    return min(levels)
 
 
 def test_equation_1_holds_term_by_term(robot):

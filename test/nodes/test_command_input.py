@@ -8,7 +8,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 
-from redundant_planner.core.preview import Preview
+from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.messages import preview_to_message, twist_to_message
 

@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
-from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.nodes.messages import markers_of, seconds_of, twist_to_message
 
 pytestmark = LIVE

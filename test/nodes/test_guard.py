@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundant_planner.nodes.beat import Beat
+from redundant_planner.nodes.command_pacer import CommandPacer
 from redundant_planner.nodes.guard import Guard, line_of
 
 
@@ -24,7 +24,7 @@ def test_an_exception_of_several_lines_is_one_line():
 
 
 def test_a_tick_is_due_a_period_after_the_last_one_and_not_before_the_first():
-    beat = Beat(0.004)
+    beat = CommandPacer(0.004)
     assert not beat.is_due(1e9)
     for begin in 0.004 * np.arange(1000):
         beat.begin(begin)

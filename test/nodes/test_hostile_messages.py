@@ -15,8 +15,8 @@ from standstill import Standstill
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
-from redundant_planner.core.preview import Preview
-from redundant_planner.nodes.marker_reader import MOST_MARKERS
+from redundant_planner.core.horizon.preview import Preview
+from redundant_planner.io.marker_reader import MOST_MARKERS
 from redundant_planner.nodes.messages import preview_to_message, seconds_of, twist_to_message
 
 pytestmark = LIVE

@@ -12,7 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.joint_layout import joint_layout, MOST_JOINTS
+from redundant_planner.io.joint_layout import joint_layout, MOST_JOINTS
 from redundant_planner.nodes.joint_messages import JointReader, JointWriter
 from redundant_planner.nodes.messages import LARGEST, positions_from_message
 

@@ -17,13 +17,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 import yaml
 
-from redundant_planner.analysis.demo import summarise
-from redundant_planner.analysis.live import Processes
-from redundant_planner.analysis.recording import read_recording
-from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.io.recording import read_recording
+from redundant_planner.io.resources import share_directory
+from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes.messages import markers_of
-from redundant_planner.resources import share_directory
-from redundant_planner.scenario import load_scenario
+from redundant_planner.tools.demo import summarise
+from redundant_planner.tools.live_run import Processes
 
 pytestmark = LIVE
 PAPER = share_directory() / 'config' / 'scenarios' / 'paper.yaml'

@@ -11,7 +11,8 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.obstacle import Obstacle
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.nodes.messages import (
     markers_of,
     positions_from_message,
@@ -19,7 +20,6 @@ from redundant_planner.nodes.messages import (
     twist_from_bytes,
     twist_to_message,
 )
-from redundant_planner.nodes.obstacle_book import ObstacleBook
 
 NAMES = ('a', 'b', 'c')
 
@@ -88,7 +88,7 @@ def marker(**changes):
 
 
 def book_with(*markers, static=()):
-    book = ObstacleBook(static, ['', 'base'])
+    book = ObstacleTracker(static, ['', 'base'])
     problems = book.update(serialize_message(MarkerArray(markers=list(markers))), 0.0)
     return book, problems
 

@@ -14,9 +14,9 @@ import pytest
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from redundant_planner.io.resources import share_directory
 from redundant_planner.nodes.messages import seconds_of
-from redundant_planner.nodes.process import keep_off_shared_memory
-from redundant_planner.resources import share_directory
+from redundant_planner.nodes.runtime import keep_off_shared_memory
 
 FILE = [ROBOTS / 'paper_2p5r.yaml']
 START = {'d1': 0.1, 'd2': 0.1, 'theta4': 0.5233, 'theta5': -0.5233, 'theta6': 1.0467}

@@ -14,6 +14,7 @@ from rclpy.node import Node
 
 from redundant_planner.core.errors import ParameterError
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.nodes.ros_parameters import (
     changed,
     changed_entries,
@@ -27,7 +28,6 @@ from redundant_planner.nodes.ros_parameters import (
     STATIC_OBSTACLE,
     unknown_parameters,
 )
-from redundant_planner.parameter_files import RobotParameters
 
 
 @pytest.fixture

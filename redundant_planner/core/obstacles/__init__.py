@@ -1,0 +1,1 @@
+"""Obstacles, and how far links are from them and from each other."""

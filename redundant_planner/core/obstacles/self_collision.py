@@ -1,0 +1,193 @@
+"""How far the arm's links are from each other: capsule against capsule, in closed form."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.kernels import (
+    compiled,
+    IndexPairs,
+    Indices,
+    kernel,
+    Matrix,
+    OutStack,
+    OutVector,
+    Stack,
+    Vector,
+)
+from redundant_planner.core.robot.jacobian import joint_shares
+
+Array = npt.NDArray[np.float64]
+
+_TINY = float(np.finfo(float).tiny)
+
+
+class LinkPairs(NamedTuple):
+    """Pairs of links at one posture.
+
+    Attributes:
+        distance: (p,) between the surfaces [m], negative where they overlap.
+        points: (p, 2, 3) nearest points of the two segments [m].
+    """
+
+    distance: Vector
+    points: Stack
+
+
+def link_distances(start: Array, end: Array, radii: Array, links: Indices) -> LinkPairs:
+    """Return the distances of pairs of capsules, by the nearest points of their segments.
+
+    Args:
+        start, end: (c, 3) segments in the base frame [m].
+        radii: (c,) [m].
+        links: (p, 2) which links.
+    """
+    pairs = LinkPairs(np.empty(len(links)), np.empty((len(links), 2, 3)))
+    _link_distances(start, end, radii, links, *pairs)
+    return pairs
+
+
+@kernel
+def _clipped(value: float) -> float:
+    return min(max(value, 0.0), 1.0)
+
+
+@kernel
+def nearest_parameters(a: float, b: float, c: float, e: float, f: float) -> tuple[float, float]:
+    """Return where two segments are nearest to each other: 0 at a start, 1 at an end.
+
+    With d₁, d₂ along the segments and r from the second start to the first, the nearest
+    parameters without ends solve a 2 × 2 system; the second is clipped to its segment and the
+    first is then the best for it (Ericson, Real-Time Collision Detection, 5.1.9).
+
+    Args:
+        a, b, c, e, f: d₁·d₁, d₁·d₂, d₁·r, d₂·d₂ and d₂·r [m²].
+    """
+    # Parallel segments, and points, have many nearest points: from any s the rest is exact.
+    s = _clipped((b * f - c * e) / max(a * e - b * b, _TINY))
+    t = _clipped((b * s + f) / max(e, _TINY))
+    return _clipped((b * t - c) / max(a, _TINY)), t
+
+
+@compiled
+def _link_distances(
+    start: Matrix, end: Matrix, radii: Vector, links: IndexPairs, distance: OutVector,
+    points: OutStack,
+) -> None:
+    """Write the fields of `LinkPairs`."""
+    for pair in range(len(links)):
+        one, other = links[pair]
+        a, b, c, e, f = 0.0, 0.0, 0.0, 0.0, 0.0  # d₁·d₁, d₁·d₂, d₁·r, d₂·d₂, d₂·r
+        for axis in range(3):
+            d1 = end[one, axis] - start[one, axis]
+            d2 = end[other, axis] - start[other, axis]
+            r = start[one, axis] - start[other, axis]
+            a, b, c, e, f = a + d1 * d1, b + d1 * d2, c + d1 * r, e + d2 * d2, f + d2 * r
+        s, t = nearest_parameters(a, b, c, e, f)
+        squared = 0.0
+        for axis in range(3):
+            points[pair, 0, axis] = start[one, axis] + s * (end[one, axis] - start[one, axis])
+            points[pair, 1, axis] = (
+                start[other, axis] + t * (end[other, axis] - start[other, axis]))
+            squared += (points[pair, 0, axis] - points[pair, 1, axis]) ** 2
+        distance[pair] = math.sqrt(squared) - radii[one] - radii[other]
+
+
+@compiled
+def distance_gradients(
+    points: Stack, chosen: Indices, columns: Matrix, moves: Matrix,
+) -> Array:
+    """Return ∂distance/∂q of the chosen pairs, (k, n).
+
+    Along the line between the nearest points, n = gap/|gap|: the first link's point moves by
+    n · (v_j + w_j × x), the second's against it. Both points lie on that line, so it is one and
+    the same wrench that acts on either link.
+
+    Args:
+        points: of the pairs, from `link_distances` [m].
+        chosen: (k,) indices into the pairs.
+        columns: (6, n) joint screws at the base origin.
+        moves: (p, n) for every pair, 1 where a joint moves its first link alone, −1 where it
+            moves the second alone, else 0.
+    """
+    gradient = np.empty((len(chosen), columns.shape[1]))
+    for row in range(len(chosen)):
+        pair = chosen[row]
+        gap = points[pair, 0] - points[pair, 1]
+        size = max(math.sqrt(gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2]), 1e-9)
+        joint_shares(columns, points[pair, 0], gap / size, moves[pair], gradient[row])
+    return gradient
+
+
+@kernel
+def _along(levers: Vector, motion: Vector) -> float:
+    total = 0.0
+    for j in range(len(motion)):
+        total += levers[j] * motion[j]
+    return total
+
+
+class NearLinks(NamedTuple):
+    """The pairs of links that may meet in a tick.
+
+    Attributes:
+        pairs: (k,) which.
+        distance: (k,) [m], 0 for those found closer than their margin.
+        gradient: (k, n) of the distance.
+    """
+
+    pairs: Indices
+    distance: Vector
+    gradient: Matrix
+
+
+@kernel
+def near_links(
+    q: Vector, start: Matrix, end: Matrix, columns: Matrix, radii: Vector, links: IndexPairs,
+    moves: Matrix, levers: Matrix, fastest: Vector, rate: float, known_at: OutVector,
+    known: OutVector,
+) -> NearLinks:
+    """Return the pairs whose barrier could act in this tick.
+
+    A pair's distance falls by no more than the joints between its links have moved: as long as
+    that settles it, nothing is measured. Links found closer than the margin may stay so, they
+    only may not get closer: capsules are fatter than links, and an arm must not start to move
+    by itself because of it.
+
+    Args:
+        q: (n,) the posture.
+        start, end, columns: of the arm, as for `link_distances` and `distance_gradients`.
+        radii: (c,) half the margin included [m].
+        links: (p, 2) which links.
+        moves: (p, n) as for `distance_gradients`.
+        levers: (p, n) how fast a pair's distance may fall per unit of joint velocity [m/rad, 1].
+        fastest: (n,) the fastest the joints may move [rad/s, m/s].
+        rate: share of a distance that may be used up per second [1/s].
+        known_at: (n,) where the links were last measured against each other; NaN if never.
+        known: (p,) what was found there [m]; both are brought up to date.
+    """
+    count, reach = len(links), fastest / rate
+    settled, moved = True, reach.copy()
+    for j in range(len(q)):
+        moved[j] += abs(q[j] - known_at[j])
+    for pair in range(count):
+        # Not so where nothing is known yet: no comparison with NaN holds.
+        settled = settled and known[pair] > _along(levers[pair], moved)
+    near, found = np.empty(count, np.intp), 0
+    points = np.empty((count, 2, 3))
+    if not settled:
+        _link_distances(start, end, radii, links, known, points)
+        known_at[:] = q
+        for pair in range(count):
+            if known[pair] <= _along(levers[pair], reach):
+                near[found] = pair
+                found += 1
+    distance = np.empty(found)
+    for i in range(found):
+        distance[i] = max(known[near[i]], 0.0)
+    pairs = near[:found]
+    return NearLinks(pairs, distance, distance_gradients(points, pairs, columns, moves))

@@ -1,0 +1,1 @@
+"""The arm: its model, kinematics and shape."""

@@ -1,0 +1,195 @@
+"""The reference pose: where the tip would be had every commanded twist been followed exactly.
+
+Integrating q̇ drifts (the paper says so in §1 and leaves it). The reference integrates the twist
+on SE(3) instead, and the error of the measured pose against it is fed back into ẋ.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.kernels import compiled, kernel, Matrix, Vector
+
+Array = npt.NDArray[np.float64]
+
+# Below this the series is exact to round-off [rad].
+_SMALL_ANGLE = 1e-4
+
+
+class Pose(NamedTuple):
+    """A tip pose in the base frame.
+
+    Attributes:
+        position: (3,) [m].
+        rotation: (3, 3) tip axes in the base frame.
+    """
+
+    position: Vector
+    rotation: Matrix
+
+
+@kernel
+def rotation_of(vector: Vector) -> Array:
+    """Return the rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues)."""
+    x, y, z = vector
+    squared = x * x + y * y + z * z
+    angle = math.sqrt(squared)
+    small = angle < _SMALL_ANGLE
+    first = 1.0 - squared / 6.0 if small else math.sin(angle) / angle
+    second = 0.5 - squared / 24.0 if small else (1.0 - math.cos(angle)) / squared
+    return np.array((
+        (1.0 - second * (y * y + z * z), second * x * y - first * z, second * x * z + first * y),
+        (second * x * y + first * z, 1.0 - second * (x * x + z * z), second * y * z - first * x),
+        (second * x * z - first * y, second * y * z + first * x, 1.0 - second * (x * x + y * y))))
+
+
+@kernel
+def rotation_vector(rotation: Matrix) -> Array:
+    """Return the rotation vector (3,) of a rotation matrix (3, 3), no longer than π [rad].
+
+    By way of the quaternion, from its largest entry (Shepperd 1978): exact at any angle.
+    """
+    r = rotation
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    largest = 0
+    for axis in range(1, 3):
+        if r[axis, axis] > r[largest, largest]:
+            largest = axis
+    quaternion = np.empty(3)
+    if trace > r[largest, largest]:
+        scalar = 1.0 + trace
+        quaternion[0], quaternion[1] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0]
+        quaternion[2] = r[1, 0] - r[0, 1]
+    else:
+        i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
+        scalar = r[k, j] - r[j, k]
+        quaternion[i] = 1.0 + r[i, i] - r[j, j] - r[k, k]
+        quaternion[j], quaternion[k] = r[j, i] + r[i, j], r[k, i] + r[i, k]
+    x, y, z = quaternion
+    size = math.sqrt(x * x + y * y + z * z)
+    if scalar < 0.0:
+        scalar, quaternion = -scalar, -quaternion
+    return quaternion * (2.0 * math.atan2(size, scalar) / size if size > 0.0 else 0.0)
+
+
+@kernel
+def _cross(a: Vector, b: Vector) -> Array:
+    return np.array((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                     a[0] * b[1] - a[1] * b[0]))
+
+
+@kernel
+def _product(a: Matrix, b: Matrix) -> Array:
+    product = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                product[i, j] += a[i, k] * b[k, j]
+    return product
+
+
+@kernel
+def _turned(rotation: Matrix, vector: Vector) -> Array:
+    turned = np.zeros(3)
+    for i in range(3):
+        for k in range(3):
+            turned[i] += rotation[i, k] * vector[k]
+    return turned
+
+
+@compiled
+def integrate(pose: Pose, twist: Vector, dt: float, in_tool: bool) -> Pose:
+    """Return the pose after a constant twist has acted for `dt`, exactly.
+
+    A twist in base axes is the tip point's velocity and the angular velocity, so position and
+    orientation integrate separately; a twist in tool axes turns with the tool, a screw motion.
+
+    Args:
+        pose: where it starts.
+        twist: (6,) [m/s, rad/s] of the tip point.
+        dt: [s].
+        in_tool: whether the twist is in tool axes.
+    """
+    v, w = twist[:3] * dt, twist[3:] * dt
+    turn = rotation_of(w)
+    if not in_tool:
+        return Pose(pose.position + v, _product(turn, pose.rotation))
+    # The tool turns while it moves: ∫ exp(w s) v ds over the tick.
+    squared = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    angle = math.sqrt(squared)
+    small = angle < _SMALL_ANGLE
+    first = 0.5 - squared / 24.0 if small else (1.0 - math.cos(angle)) / squared
+    second = (1.0 / 6.0 - squared / 120.0 if small
+              else (angle - math.sin(angle)) / (squared * angle))
+    sideways = _cross(w, v)
+    moved = v + first * sideways + second * _cross(w, sideways)
+    return Pose(pose.position + _turned(pose.rotation, moved), _product(pose.rotation, turn))
+
+
+def turned(twist: Array, rotation: Array) -> Array:
+    """Return a twist (6,) in the axes that `rotation` (3, 3) takes its own to."""
+    return np.concatenate((rotation @ twist[:3], rotation @ twist[3:]))
+
+
+@compiled
+def pose_error(reference: Pose, actual: Pose, in_tool: bool) -> Array:
+    """Return the displacement (6,) [m, rad] from `actual` to `reference`, in command axes.
+
+    Position and orientation errors are separate vectors: the difference of positions, and the
+    rotation vector of the remaining rotation.
+    """
+    displacement = reference.position - actual.position
+    rotation = rotation_vector(_product(reference.rotation, actual.rotation.T))
+    if in_tool:
+        displacement = _turned(actual.rotation.T, displacement)
+        rotation = _turned(actual.rotation.T, rotation)
+    error = np.empty(6)
+    for axis in range(3):
+        error[axis], error[3 + axis] = displacement[axis], rotation[axis]
+    return error
+
+
+@compiled
+def displaced(pose: Pose, error: Vector, in_tool: bool) -> Pose:
+    """Return the pose whose `pose_error` against `pose` is `error`."""
+    displacement, rotation = error[:3].copy(), error[3:].copy()
+    if in_tool:
+        displacement = _turned(pose.rotation, displacement)
+        rotation = _turned(pose.rotation, rotation)
+    return Pose(pose.position + displacement, _product(rotation_of(rotation), pose.rotation))
+
+
+@kernel
+def bounded(error: Vector, distance: float, angle: float) -> Array:
+    """Return the error (6,) with its linear and angular parts no longer than the caps.
+
+    Args:
+        error: (6,) from `pose_error` [m, rad].
+        distance: cap of the linear part [m].
+        angle: cap of the angular part [rad].
+    """
+    result = error.copy()
+    for part in range(2):
+        x = result[3 * part:3 * part + 3]
+        size = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+        cap = angle if part else distance
+        if size > cap:
+            x *= cap / size
+    return result
+
+
+@compiled
+def feedback(error: Vector, gain: float, speed: float, angular_speed: float) -> Array:
+    """Return the twist (6,) that takes the error back at `gain`, never faster than the caps.
+
+    Args:
+        error: (6,) from `pose_error` [m, rad].
+        gain: [1/s].
+        speed: cap of the linear part [m/s].
+        angular_speed: cap of the angular part [rad/s].
+    """
+    return bounded(gain * error, speed, angular_speed)

@@ -1,0 +1,1 @@
+"""Limits, barriers, and the QP that keeps them."""

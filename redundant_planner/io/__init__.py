@@ -1,0 +1,1 @@
+"""Bytes and files: messages, bags, robots, scenarios. No rclpy."""

@@ -1,0 +1,275 @@
+"""Parameter files as the nodes and everything offline read them, and what stands in them.
+
+Nothing here needs ROS, or compiled mathematics: a node without any starts at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+from redundant_planner.core.errors import (
+    known,
+    ObstacleError,
+    ParameterError,
+    PlannerError,
+    shown,
+    unknown_names,
+)
+from redundant_planner.core.numbers import floats_of
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.parameters import (
+    AXES,
+    check,
+    COMMAND_FRAMES,
+    parameter,
+    PlannerParameters,
+)
+from redundant_planner.io.node_parameters import (
+    FakeHardwareParameters,
+    PlannerNodeParameters,
+    PlayerParameters,
+)
+from redundant_planner.io.resources import read_text, resolve, yaml_content
+
+Settings = TypeVar('Settings')
+
+# What a parameter file may hold besides the fields of the parameter dataclasses: named things, and
+# what every ROS node takes.
+_NAMED = ('capsule', 'static_obstacle')
+
+_EVERY_NODES = ('use_sim_time', 'qos_overrides', 'start_type_description_service')
+
+
+@dataclass(frozen=True)
+class RobotParameters:
+    """What the planner must know of an arm; fixed while a node runs.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    urdf: str = parameter(
+        '', description='URDF file: a path, file:// or package:// location. Empty: the '
+                        'parameter robot_description, or else the topic of that name.')
+    robot_description: str = parameter(
+        '', description="The URDF's text itself, used where urdf is empty.")
+    base_frame: str = parameter(
+        '', description='Link in whose frame commands and obstacles are given; empty for the '
+                        "URDF's root link.")
+    tip_frame: str = parameter(
+        '', description='Link whose origin is the end effector. Required.')
+    axes: tuple[str, ...] = parameter(
+        AXES, choices=AXES,
+        description='Axes of the twist that are controlled; the others are left to the null '
+                    'space.')
+    command_frame: str = parameter(
+        'base', choices=COMMAND_FRAMES,
+        description='Axes in which cmd_vel is expressed: base (fixed) or tool (turning with the '
+                    'tip). The reference point is the tip either way.')
+    locked_joints: tuple[str, ...] = parameter(
+        (), description='Joints held still at locked_positions.')
+    locked_positions: tuple[float, ...] = parameter(
+        (), low=-1e6, high=1e6, unit='rad, m', description='One position per locked joint.')
+    lock_where_measured: bool = parameter(
+        False, description='Whether planner_node holds the other joints outside the chain where '
+                           'joint_states says that they are when it starts, rather than at 0: '
+                           'grippers and second arms that nobody moves meanwhile.')
+    velocity_max: tuple[float, ...] = parameter(
+        (), low=1e-6, high=1e4, unit='rad/s, m/s',
+        description="Replaces the URDF's velocity limits: one value, or one per joint.")
+    acceleration_max: tuple[float, ...] = parameter(
+        (5.0,), low=1e-6, high=1e6, unit='rad/s², m/s²',
+        description='Largest joint acceleration: one value, or one per joint. Higher than the '
+                    'drives can follow, and the arm overshoots limits and clearances.')
+    link_shapes: str = parameter(
+        'fitted', choices=('fitted', 'straight'),
+        description="Where no capsules are listed: fitted around the URDF's collision geometry "
+                    '(show_robot shows them), or straight from joint to joint with link_radius.')
+    link_radius: float = parameter(
+        0.0, low=0.0, high=1.0, unit='m',
+        description='Radius of straight link shapes. Too small, and the arm touches what it '
+                    'should not.')
+    capsules: tuple[str, ...] = parameter(
+        (), description='Names of the link shapes; each has the parameters '
+                        'capsule.NAME.frame, .start, .end and .radius.')
+
+    def __post_init__(self) -> None:
+        """Check every value and the relations between them."""
+        check(self)
+        if len(self.locked_joints) != len(self.locked_positions):
+            raise ParameterError(
+                f"parameter 'locked_positions' has {len(self.locked_positions)} entries; it "
+                f"takes {len(self.locked_joints)}, one per name in 'locked_joints'")
+
+
+def urdf_text(parameters: RobotParameters, folder: Path | None = None) -> str:
+    """Return the URDF that the parameters name or hold; empty if they do neither.
+
+    Args:
+        parameters: from a node or a file.
+        folder: for a relative path; the working directory if None.
+
+    Raises:
+        PlannerError: there is no such file.
+    """
+    if parameters.urdf:
+        return read_text(resolve(parameters.urdf, folder))
+    return parameters.robot_description
+
+
+def urdf_folder(parameters: RobotParameters, folder: Path | None = None) -> Path | None:
+    """Return the folder of the URDF file, for meshes relative to it; None without a file."""
+    return resolve(parameters.urdf, folder).parent if parameters.urdf else None
+
+
+def read_robot_parameters(
+    path: Path,
+) -> tuple[RobotParameters, dict[str, Mapping[str, Any]]]:
+    """Return a parameter file's robot parameters and capsule entries.
+
+    Raises:
+        ParameterError: the file is unusable, with what is wrong.
+    """
+    values = read_parameter_file(path)
+    parameters, capsules = settings_of(RobotParameters, values), entries_of(values, 'capsule')
+    unlisted = [name for name in capsules if name not in parameters.capsules]
+    if unlisted:
+        raise ParameterError(f"'{path}' describes the capsules {known(unlisted)}, which the "
+                             "parameter 'capsules' does not name")
+    return parameters, capsules
+
+
+def settings_of(settings: type[Settings], values: Mapping[str, Any]) -> Settings:
+    """Return a parameter dataclass with those of its fields that `values` has.
+
+    Raises:
+        ParameterError: a value does not fit.
+    """
+    names = {entry.name for entry in fields(settings)}  # type: ignore[arg-type]
+    return settings(**{key: value for key, value in values.items() if key in names})
+
+
+def read_parameter_file(path: Path) -> dict[str, Any]:
+    """Return the parameters that a ROS parameter file sets for every node.
+
+    Raises:
+        ParameterError: it is not YAML, not a parameter file, or names a parameter that no node
+            of this package has.
+    """
+    what = f"'{path}'"
+    try:
+        content = yaml_content(read_text(path), what)
+    except PlannerError as error:
+        raise ParameterError(str(error)) from None
+    values = parameter_values(content, what)
+    unknown = unknown_names(values, known_parameters())
+    if unknown:
+        raise ParameterError(f'{what}: ' + '; '.join(unknown))
+    return values
+
+
+def known_parameters() -> list[str]:
+    """Return the names that a file for this package's nodes may set."""
+    groups = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
+              PlayerParameters)
+    return [*(entry.name for group in groups for entry in fields(group)), *_NAMED, *_EVERY_NODES]
+
+
+def parameter_values(content: Any, what: str) -> dict[str, Any]:
+    """Return what the content of a ROS parameter file sets for every node.
+
+    Args:
+        content: as YAML gives it.
+        what: it is, for the message.
+
+    Returns:
+        name → value; names with dots are taken apart, as ROS does.
+
+    Raises:
+        ParameterError: it is not a parameter file.
+    """
+    section = content.get('/**') if isinstance(content, Mapping) else None
+    given = section.get('ros__parameters') if isinstance(section, Mapping) else None
+    if not isinstance(given, Mapping):
+        raise ParameterError(f"{what} is not a parameter file; it must start with '/**:' and "
+                             "'ros__parameters:'")
+    values: dict[str, Any] = {}
+    for name, value in given.items():
+        *groups, last = str(name).split('.')
+        place = values
+        for group in groups:
+            inner = place.get(group)
+            place[group] = place = dict(inner) if isinstance(inner, Mapping) else {}
+        place[last] = {**place[last], **value} if (
+            isinstance(value, Mapping) and isinstance(place.get(last), Mapping)) else value
+    return values
+
+
+def entries_of(values: Mapping[str, Any], what: str) -> dict[str, Mapping[str, Any]]:
+    """Return the named things among parameter values: name → key → value.
+
+    Args:
+        values: parameters.
+        what: 'capsule' or 'static_obstacle'.
+
+    Raises:
+        ParameterError: there is something else in their place.
+    """
+    entries = values.get(what)
+    if entries is None:
+        return {}
+    if not isinstance(entries, Mapping) or not all(
+            isinstance(entry, Mapping) for entry in entries.values()):
+        raise ParameterError(f"parameter '{what}' is {shown(entries)}; it must hold names, and "
+                             f'under each the keys of that {what.replace("_", " ")}')
+    return {str(name): entry for name, entry in entries.items()}
+
+
+def obstacle_of(name: str, entry: Mapping[str, Any]) -> Obstacle:
+    """Return an obstacle from its entry in a parameter or scenario file.
+
+    Raises:
+        ObstacleError, ParameterError: with what is wrong.
+    """
+    check_keys(f"obstacle '{name}'", entry, ('center', 'semi_axes'),
+               ('orientation', 'velocity', 'name'))
+    arrays = {}
+    for key in entry:
+        if key != 'name':
+            arrays[key] = floats_of(entry[key])
+            if arrays[key].ndim != 1:
+                raise ObstacleError(f"obstacle '{name}': {key} is {shown(entry[key])}; it takes "
+                                    'a list of numbers')
+    return Obstacle(name, **arrays)
+
+
+def static_obstacles(values: Mapping[str, Any]) -> list[Obstacle]:
+    """Return the static obstacles among parameter values.
+
+    Raises:
+        ObstacleError, ParameterError: with what is wrong.
+    """
+    return [obstacle_of(name, entry)
+            for name, entry in entries_of(values, 'static_obstacle').items()]
+
+
+def check_keys(
+    what: str, entry: Any, required: tuple[str, ...], optional: tuple[str, ...] = (),
+) -> None:
+    """Make sure that an entry of a file has its keys, and no others.
+
+    Raises:
+        ParameterError: it has not.
+    """
+    takes = f'it takes {known((*required, *optional))}'
+    if not isinstance(entry, Mapping):
+        raise ParameterError(f'{what} is {shown(entry)}; {takes}')
+    missing = [key for key in required if key not in entry]
+    unknown = [key for key in entry if key not in (*required, *optional)]
+    if missing or unknown:
+        raise ParameterError(
+            f'{what} ' + (f'lacks {known(missing)}' if missing else f'has {known(unknown)}')
+            + f'; {takes}')

@@ -1,0 +1,75 @@
+"""A planner's configuration as it stands in a bag, where it may be anything."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import yaml
+
+from redundant_planner.core.errors import PlannerError
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.io.parameter_files import parameter_values, static_obstacles
+
+# A configuration with its URDF has 0.1 MB, some thousand values and a depth of 5.
+_LONGEST = 2_000_000
+_VALUES = 200_000
+_DEPTH = 20
+
+
+def configuration_of(text: str, notes: list[str]) -> dict[str, Any]:
+    """Return the parameter values of a recorded configuration; none if it is unusable.
+
+    Args:
+        text: as recorded.
+        notes: takes a sentence about what is wrong.
+    """
+    try:
+        if len(text) > _LONGEST:
+            raise PlannerError(f'it has {len(text)} characters; {_LONGEST} at most are read')
+        content = yaml.safe_load(text)
+        _check_size(content)
+        values = parameter_values(content, 'it')
+        if not all(isinstance(name, str) for name in values):
+            raise PlannerError('a parameter has no name')
+        return values
+    # PyYAML raises more than its own errors: a ValueError of a date, a RecursionError.
+    except (yaml.YAMLError, ValueError, TypeError, ArithmeticError, RecursionError) as error:
+        notes.append(f'the recorded configuration is unusable: {error}')
+        return {}
+
+
+def _check_size(content: Any) -> None:
+    """Count the values, each alias for all that it stands for.
+
+    Raises:
+        PlannerError: there are too many, or they are nested too deeply.
+    """
+    count, stack = 0, [(content, 0)]
+    while stack:
+        value, depth = stack.pop()
+        count += 1
+        if count > _VALUES or depth > _DEPTH:
+            raise PlannerError(f'it has more than {_VALUES} values, or more than {_DEPTH} in one '
+                               'another')
+        if isinstance(value, dict):
+            stack += [(item, depth + 1) for item in (*value, *value.values())]
+        elif isinstance(value, (list, tuple, set)):
+            stack += [(item, depth + 1) for item in value]
+
+
+def number_of(values: dict[str, Any], name: str, default: float, highest: float) -> float:
+    """Return a recorded parameter, the default where it is no number in 0 < number ≤ highest."""
+    value = values.get(name, default)
+    sound = (isinstance(value, (int, float)) and not isinstance(value, bool)
+             and 0.0 < value <= highest and math.isfinite(value))
+    return float(value) if sound else default
+
+
+def recorded_obstacles(values: dict[str, Any], notes: list[str]) -> list[Obstacle]:
+    """Return the static obstacles of a recorded configuration; none if they are unusable."""
+    try:
+        return static_obstacles(values)
+    except Exception as error:  # a bag may hold anything, and is analysed all the same
+        notes.append(f'the static obstacles of the recorded configuration are unusable: {error}')
+        return []

@@ -1,0 +1,1 @@
+"""The paper's experiment, Eq. 17 and its method to the letter."""

@@ -1,0 +1,225 @@
+"""analyze_bag: what happened in a recorded motion, and how two of them compare."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from dataclasses import asdict
+from functools import partial
+import json
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress, TaskID
+from rich.table import Table
+
+from redundant_planner.analysis.bag_analysis import analyse, Analysis, reduction
+from redundant_planner.core.errors import PlannerError
+from redundant_planner.io.printable import printable
+
+_MEASURES = {
+    'displacement': 'displacement', 'path': 'path ∫|q̇|', 'effort': '∫q̇²',
+    'initial_velocity': 'initial velocity', 'velocity_change': 'velocity change',
+    'acceleration_change': 'acceleration change', 'peak_velocity': 'peak velocity',
+    'peak_acceleration': 'peak acceleration'}
+# A narrower terminal wraps lines rather than cut numbers off.
+_WIDTH = 140
+# Those that Table 1 and the text of the paper compare.
+_COMPARED = ('displacement', 'path', 'effort', 'initial_velocity', 'velocity_change',
+             'acceleration_change')
+
+
+def joint_table(analysis: Analysis) -> Table:
+    """Return the measures of every joint."""
+    table = Table(title=f"'{analysis.name}': {analysis.end - analysis.begin:.2f} s, "
+                        f'{analysis.samples} joint states')
+    table.add_column('joint')
+    for label in _MEASURES.values():
+        table.add_column(label, justify='right')
+    robot = analysis.robot
+    for i, name in enumerate(analysis.joint_names):
+        cells = [f'{getattr(analysis.joints, key)[i]:.5g}' for key in _MEASURES]
+        if robot is not None:  # peaks against limits
+            cells[-2] += f' / {robot.velocity_max[i]:.3g}'
+            cells[-1] += f' / {robot.acceleration_max[i]:.3g}'
+        table.add_row(name, *cells)
+    return table
+
+
+def motion_table(analyses: list[Analysis]) -> Table:
+    """Return the measures of whole motions, one column each."""
+    table = Table(show_header=len(analyses) > 1)
+    table.add_column('')
+    for analysis in analyses:
+        table.add_column(analysis.name, justify='right')
+    columns = [motion_measures(analysis) for analysis in analyses]
+    for key in columns[0]:
+        table.add_row(key.replace('_', ' '), *(as_text(column[key]) for column in columns))
+    return table
+
+
+def as_text(value: Any) -> str:
+    """Return a measure as it stands in a table."""
+    if value is None:
+        return '–'
+    return f'{value:.5g}' if isinstance(value, float) else printable(str(value))
+
+
+def motion_measures(analysis: Analysis) -> dict[str, Any]:
+    """Return the measures of a whole motion; None for what the bag does not tell."""
+    curves, periods = analysis.curves, analysis.periods
+
+    def known(values: Any, statistic: Any) -> float | None:
+        finite = values[np.isfinite(values)]
+        return float(statistic(finite)) if len(finite) else None
+
+    tips = curves.tips[np.isfinite(curves.tips).all(axis=1)]
+    clearance = analysis.clearance
+    return {
+        'joint_path': float(analysis.joints.path.sum()),
+        'effort': float(analysis.joints.effort.sum()),
+        'tool_path_m': (float(np.linalg.norm(np.diff(tips, axis=0), axis=1).sum())
+                        if len(tips) > 1 else None),
+        'largest_path_error_mm': known(1e3 * curves.path_error, np.max),
+        'smallest_clearance_level': clearance.level if clearance else None,
+        'smallest_distance_mm': 1e3 * analysis.distance if clearance else None,
+        'nearest_pair': f'{clearance.link} to {clearance.obstacle}' if clearance else None,
+        'twist_scale_mean': known(curves.scale, np.mean),
+        'factor_k_mean': (float(analysis.factor[:, 1].mean()) if len(analysis.factor)
+                          else None),
+        'command_period_median_ms': 1e3 * periods.median if periods else None,
+        'command_period_p99_ms': 1e3 * periods.p99 if periods else None,
+        'command_period_longest_ms': 1e3 * periods.longest if periods else None,
+    }
+
+
+def comparison_table(base: Analysis, improved: Analysis) -> Table:
+    """Return by how much every measure of every joint became smaller, as in Table 1.
+
+    Raises:
+        PlannerError: the bags have different joints.
+    """
+    if set(base.joint_names) != set(improved.joint_names):
+        raise PlannerError(f"'{base.name}' and '{improved.name}' have different joints: "
+                           f'{list(base.joint_names)}, {list(improved.joint_names)}')
+    table = Table(title=f"reductions (%) of '{improved.name}' against '{base.name}'")
+    table.add_column('joint')
+    for key in _COMPARED:
+        table.add_column(_MEASURES[key], justify='right')
+    for name, row in reductions(base, improved).items():
+        table.add_row(name, *('–' if np.isnan(row[key]) else f'{row[key]:.1f}'
+                              for key in _COMPARED))
+    return table
+
+
+def reductions(base: Analysis, improved: Analysis) -> dict[str, dict[str, float]]:
+    """Return joint → measure → reduction [%]; 'all joints' has those of the sums."""
+    order = [improved.joint_names.index(name) for name in base.joint_names]
+    values = {key: (getattr(base.joints, key), getattr(improved.joints, key)[order])
+              for key in _COMPARED}
+    rows = {name: {key: float(reduction(*pair)[i]) for key, pair in values.items()}
+            for i, name in enumerate(base.joint_names)}
+    rows['all joints'] = {key: float(reduction(np.array(pair[0].sum()), np.array(pair[1].sum())))
+                          for key, pair in values.items()}
+    return rows
+
+
+def as_json(analysis: Analysis) -> dict[str, Any]:
+    """Return an analysis as it stands in the JSON file."""
+    robot = analysis.robot
+    joints = {}
+    for i, name in enumerate(analysis.joint_names):
+        joints[name] = {key: float(value[i]) for key, value in asdict(analysis.joints).items()}
+        if robot is not None:
+            joints[name] |= {'velocity_limit': float(robot.velocity_max[i]),
+                             'acceleration_limit': float(robot.acceleration_max[i])}
+    return {'bag': analysis.name, 'begin': analysis.begin, 'end': analysis.end,
+            'samples': analysis.samples, 'joints': joints, 'motion': motion_measures(analysis),
+            'notes': list(analysis.notes)}
+
+
+def write_csv(path: Path, analysis: Analysis) -> None:
+    """Write the curves, one row per sample."""
+    curves, names = analysis.curves, analysis.joint_names
+    head = ['time', *(f'{kind}.{name}' for kind in ('position', 'velocity', 'acceleration')
+                      for name in names),
+            'distance', 'scale', 'path_error', 'tip.x', 'tip.y', 'tip.z']
+    rows = np.column_stack((
+        curves.times, curves.positions, curves.velocities, curves.accelerations,
+        curves.clearance, curves.scale, curves.path_error, curves.tips))
+    with path.open('w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file)
+        writer.writerow(head)
+        writer.writerows(rows.tolist())
+
+
+def _show(bar: Progress, task: TaskID, share: float) -> None:
+    bar.update(task, completed=share)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run analyze_bag; return the process's exit status."""
+    parser = argparse.ArgumentParser(prog='analyze_bag', description=__doc__)
+    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG')
+    parser.add_argument('--urdf', default='', help='URDF of the arm, where the bag has none')
+    parser.add_argument('--params', type=Path, help='parameter file of the arm')
+    parser.add_argument('--tip', default='', help="end effector's link, with a URDF alone")
+    parser.add_argument('--namespace', default='', help='of the topics, where there are several')
+    parser.add_argument('--begin', type=float, default=0.0, metavar='SECONDS')
+    parser.add_argument('--end', type=float, default=np.inf, metavar='SECONDS')
+    parser.add_argument('--json', type=Path, metavar='FILE', help='write all measures')
+    parser.add_argument('--csv', type=Path, metavar='FILE', help='write the curves (one bag)')
+    parser.add_argument('--report', type=Path, metavar='DIR',
+                        help='write an HTML page with curves and a 3-D view, and figures')
+    options = parser.parse_args(args)
+    # Names in a bag are no markup.
+    console = Console(markup=False, emoji=False)
+    console.width = max(console.width, _WIDTH)
+    try:
+        if options.params is not None and not options.params.is_file():
+            raise PlannerError(f"'{options.params}' is not a file")
+        if not options.begin < options.end:
+            raise PlannerError(f'--begin {options.begin:g} must lie before --end {options.end:g}')
+        analyses = []
+        for bag in options.bags:
+            with Progress(console=Console(stderr=True), transient=True,
+                          disable=not sys.stderr.isatty()) as bar:
+                task = bar.add_task(f"reading '{escape(bag.name)}'", total=1.0)
+                analyses.append(analyse(
+                    bag, params=options.params, urdf=options.urdf, tip=options.tip,
+                    namespace=options.namespace, begin=options.begin, end=options.end,
+                    progress=partial(_show, bar, task)))
+        for analysis in analyses:
+            console.print(joint_table(analysis))
+        console.print(motion_table(analyses))
+        for other in analyses[1:]:
+            console.print(comparison_table(analyses[0], other))
+        for analysis in analyses:
+            for note in analysis.notes:
+                console.print(f"'{analysis.name}': {note}", style='yellow', highlight=False)
+        if options.json is not None:
+            content: dict[str, Any] = {'bags': [as_json(analysis) for analysis in analyses]}
+            if len(analyses) > 1:
+                content['reductions'] = {
+                    other.name: reductions(analyses[0], other) for other in analyses[1:]}
+            options.json.write_text(json.dumps(content, indent=1), encoding='utf-8')
+        if options.csv is not None:
+            write_csv(options.csv, analyses[0])
+        if options.report is not None:
+            from redundant_planner.analysis.report import write_report
+            console.print(f'report: {write_report(options.report, analyses)}')
+    except (PlannerError, OSError) as error:
+        print(f'analyze_bag: {printable(str(error))}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print('analyze_bag: interrupted', file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,157 @@
+"""demo: one scenario over live topics, then a table in the terminal, a picture and a bag."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import shutil
+import signal
+import sys
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
+
+from redundant_planner.analysis import metrics
+from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.analysis.figures import motion_picture
+from redundant_planner.analysis.report import write_report
+from redundant_planner.core.errors import PlannerError
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.bag_files import RecordingError
+from redundant_planner.io.recording import JointLog, read_recording, Recording
+from redundant_planner.io.resources import resolve
+from redundant_planner.io.scenario import load_scenario, Scenario
+from redundant_planner.tools.live_run import LiveRun, play
+
+Array = npt.NDArray[np.float64]
+
+DEFAULT_SCENARIO = 'package://redundant_planner/config/scenarios/paper.yaml'
+# How long before and after the commanded motion the arm is looked at [s].
+_MARGIN = 0.2
+
+
+class Summary(NamedTuple):
+    """What a live run is judged by.
+
+    Attributes:
+        states: the measured motion.
+        displacement: (n,) |end − start| of every joint [rad, m].
+        path: (n,) Σ|Δq| of every joint, Eq. 10 [rad, m].
+        clearance: smallest S over whole links.
+        path_error: largest distance of the tip from the commanded path [m].
+        periods: of joint_command [s].
+    """
+
+    states: JointLog
+    displacement: Array
+    path: Array
+    clearance: metrics.Clearance
+    path_error: float
+    periods: metrics.Periods
+
+
+def summarise(robot: Robot, recording: Recording) -> Summary:
+    """Measure the recorded motion.
+
+    Raises:
+        RecordingError: there is none.
+    """
+    moving = recording.twist_times[(recording.twists != 0.0).any(axis=1)]
+    if not len(moving):
+        raise RecordingError('nothing was commanded')
+    begin, end = moving[0] - _MARGIN, moving[-1] + _MARGIN
+    states = recording.states.select(robot.joint_names).between(begin, end)
+    inside = (recording.twist_times >= moving[0]) & (recording.twist_times <= end)
+    path = metrics.commanded_path(
+        robot, states.positions[0], recording.twist_times[inside], recording.twists[inside])
+    # The line goes on straight where the message clock and the planner's differ by a tick.
+    overrun = path[-1] + (path[-1] - path[-2]) if len(path) > 1 else path[-1]
+    tips = metrics.tip_positions(robot, states.positions)
+    return Summary(
+        states=states,
+        displacement=metrics.displacement(states.positions),
+        path=metrics.joint_path(states.positions),
+        clearance=metrics.smallest_clearance(robot, states.positions, recording.obstacles),
+        path_error=float(metrics.distance_to_path(tips, np.vstack((path, overrun))).max()),
+        periods=metrics.periods(recording.commands.between(begin, end).times))
+
+
+def print_summary(
+    console: Console, scenario: Scenario, robot: Robot, summary: Summary, run: LiveRun,
+) -> None:
+    """Print the tables of a run."""
+    joints = Table(title=f"Scenario '{scenario.name}' on '{robot.name}', live")
+    for heading in ('joint', 'start', 'end', 'displacement', 'path Σ|Δq|'):
+        joints.add_column(heading, justify='left' if heading == 'joint' else 'right')
+    for i, name in enumerate(robot.joint_names):
+        joints.add_row(name, *(f'{value:.4f}' for value in (
+            summary.states.positions[0, i], summary.states.positions[-1, i],
+            summary.displacement[i], summary.path[i])))
+    console.print(joints)
+
+    motion = Table(show_header=False)
+    clearance, periods = summary.clearance, summary.periods
+    rows = {
+        'smallest whole-link clearance S': (
+            f'{clearance.level:.3f} ({clearance.link} to {clearance.obstacle})'
+            if clearance.link else 'no obstacle'),
+        'largest distance from the commanded path': f'{1e3 * summary.path_error:.3f} mm',
+        'joint path, all joints': f'{summary.path.sum():.4f} rad + m',
+        '∫ q̇ᵀq̇ dt': f'{metrics.effort(summary.states.velocities, summary.states.times):.5f}',
+        'joint_command period': (
+            f'median {1e3 * periods.median:.3f} ms, p99 {1e3 * periods.p99:.3f} ms, '
+            f'longest {1e3 * periods.longest:.3f} ms'),
+        'planner process': f'{100 * run.planner_cpu:.0f} % of one core',
+    }
+    for name, value in rows.items():
+        motion.add_row(name, value)
+    console.print(motion)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the demo; return the process's exit status."""
+    parser = argparse.ArgumentParser(prog='demo', description=__doc__)
+    parser.add_argument('--scenario', default=DEFAULT_SCENARIO, help='scenario file to play')
+    parser.add_argument('--params', action='append', default=[], type=Path, metavar='FILE',
+                        help='parameter file for the planner; may be given more than once')
+    parser.add_argument('--urdf', help="URDF to use instead of the robot file's")
+    parser.add_argument('--out', type=Path, default=Path('demo_output'),
+                        help='folder for the bag and the picture (default: %(default)s)')
+    options = parser.parse_args(args)
+    console = Console()
+    # Ended politely, it cleans up as it does after Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        path = resolve(options.scenario)
+        scenario = load_scenario(path)
+        changes = {'urdf': options.urdf} if options.urdf else {}
+        robot = scenario.load_robot(**changes)
+        options.out.mkdir(parents=True, exist_ok=True)
+        bag = options.out / scenario.name
+        shutil.rmtree(bag, ignore_errors=True)
+        console.print(f"playing '{scenario.name}' for {scenario.duration:g} s …")
+        run = play(scenario, path, bag, planner_files=[p.resolve() for p in options.params],
+                   planner_values=changes)
+        recording = read_recording(bag)
+        summary = summarise(robot, recording)
+        print_summary(console, scenario, robot, summary, run)
+        picture = options.out / f'{scenario.name}.png'
+        states = summary.states
+        motion_picture(picture, robot, states.times - states.times[0], states.positions,
+                       states.velocities, recording.obstacles, f"'{scenario.name}', live")
+        report = write_report(options.out / 'report', [analyse(bag)])
+        console.print(f'picture: {picture}\nbag:     {bag}\nreport:  {report}')
+    except (PlannerError, OSError) as error:
+        print(f'demo: {error}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print('demo: interrupted', file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

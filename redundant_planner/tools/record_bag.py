@@ -1,0 +1,160 @@
+"""record_bag: the planner's topics to an MCAP bag, with or without `ros2 bag`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from datetime import datetime
+import importlib
+from pathlib import Path
+import signal
+import sys
+import time
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from redundant_planner.core.errors import PlannerError
+from redundant_planner.io.bag_files import repair
+from redundant_planner.io.bag_writer import BagWriter, message_type_known
+from redundant_planner.io.printable import printable
+from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+
+# Relative names, so that a namespace holds; ~ stands for the planner's name.
+TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'cmd_vel_preview', 'obstacles',
+          'robot_description', '~/configuration', '~/ticks', '~/markers', '/diagnostics')
+_DEPTH = 5000
+# How often the recorder looks for topics that have appeared, and hands the system what it has [s].
+_LOOK = 0.1
+_FLUSH = 1.0
+
+
+class Recorder:
+    """Subscribes to topics as they appear and writes whatever comes, as it came."""
+
+    def __init__(self, node: Node, writer: BagWriter, topics: list[str]) -> None:
+        """Look for topics on behalf of a node.
+
+        Args:
+            node: to subscribe with.
+            writer: an open bag.
+            topics: resolved names.
+        """
+        self.counts: dict[str, int] = {}
+        self._node, self._writer, self._topics = node, writer, topics
+
+    def look(self) -> None:
+        """Subscribe to the topics that have a publisher by now."""
+        for topic in [name for name in self._topics if name not in self.counts]:
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            if not publishers or not message_type_known(publishers[0].topic_type):
+                continue
+            kind = publishers[0].topic_type
+            qos = [publisher.qos_profile for publisher in publishers]
+            reliable = all(q.reliability == ReliabilityPolicy.RELIABLE for q in qos)
+            latched = all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in qos)
+            self.counts[topic] = 0
+            self._writer.add_topic(topic, kind)
+            self._node.create_subscription(
+                _message_class(kind), topic, self._keeper(topic), QoSProfile(
+                    depth=_DEPTH,
+                    reliability=ReliabilityPolicy.RELIABLE if reliable
+                    else ReliabilityPolicy.BEST_EFFORT,
+                    durability=DurabilityPolicy.TRANSIENT_LOCAL if latched
+                    else DurabilityPolicy.VOLATILE), raw=True)
+
+    def _keeper(self, topic: str) -> Callable[[bytes], None]:
+        def keep(message: bytes) -> None:
+            self.counts[topic] += 1
+            self._writer.write(topic, time.time_ns(), message)
+        return keep
+
+
+def _message_class(kind: str) -> Any:
+    package, _, name = kind.split('/')
+    return getattr(importlib.import_module(f'{package}.msg'), name)
+
+
+def record(folder: Path, planner: str, extra: list[str], duration: float | None) -> dict[str, int]:
+    """Record until interrupted, or for a while; return topic → number of messages.
+
+    Args:
+        folder: of the new bag.
+        planner: name of the planner's node.
+        extra: further topics.
+        duration: [s], None for no end.
+
+    Raises:
+        RecordingError: the folder exists already.
+    """
+    stopped = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal stopped
+        stopped = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    node = Node('record_bag', enable_rosout=False, start_parameter_services=False)
+    executor = best_executor(node.context)
+    executor.add_node(node)
+    names = [node.resolve_topic_name(topic.replace('~', planner)) for topic in (*TOPICS, *extra)]
+    try:
+        with BagWriter(folder) as writer:
+            print(f"recording to '{folder}' until Ctrl-C", flush=True)
+            recorder = Recorder(node, writer, names)
+            begin = time.monotonic()
+            looked, flushed = -_LOOK, begin
+            while not stopped and (duration is None or time.monotonic() - begin < duration):
+                now = time.monotonic()
+                if now - looked >= _LOOK and len(recorder.counts) < len(names):
+                    recorder.look()
+                    looked = now
+                if now - flushed >= _FLUSH:
+                    writer.flush()
+                    flushed = now
+                executor.spin_once(timeout_sec=_LOOK)
+    finally:
+        node.destroy_node()
+    return recorder.counts
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run record_bag; return the process's exit status."""
+    parser = argparse.ArgumentParser(
+        prog='record_bag', description=__doc__,
+        epilog='ROS arguments (--ros-args -r __ns:=/left …) may follow.')
+    parser.add_argument('bag', nargs='?', type=Path, help='folder to write')
+    parser.add_argument('--planner', default='planner_node', help="name of the planner's node")
+    parser.add_argument('--topics', nargs='+', default=[], help='further topics')
+    parser.add_argument('--duration', type=float, metavar='SECONDS')
+    parser.add_argument('--repair', type=Path, metavar='BAG',
+                        help='close a bag whose recorder was killed, and do nothing else')
+    given = sys.argv if args is None else ['record_bag', *args]
+    options = parser.parse_args(remove_ros_args(given)[1:])
+    try:
+        if options.repair is not None:
+            done = repair(options.repair)
+            print('\n'.join(done) or f"'{options.repair}' was closed properly")
+            return 0
+        folder = options.bag or Path(datetime.now().strftime('bag_%Y_%m_%d-%H_%M_%S'))
+        keep_off_shared_memory()
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+        counts = record(folder, options.planner, options.topics, options.duration)
+    except (PlannerError, OSError) as error:
+        print(f'record_bag: {printable(str(error))}', file=sys.stderr)
+        return 2
+    finally:
+        rclpy.try_shutdown()
+    for topic, count in counts.items():
+        print(f'{count:8d}  {topic}')
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,426 @@
+"""replay_bag: what the planner would have done with other parameters, computed offline."""
+
+from __future__ import annotations
+
+import argparse
+from collections import deque
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import track
+import yaml
+
+from redundant_planner.analysis.bag_analysis import COMMAND_TIMEOUT, robot_of_bag
+from redundant_planner.core.errors import ParameterError, PlannerError, StateError
+from redundant_planner.core.horizon.preview import Preview, TwistAhead
+from redundant_planner.core.parameters import METHODS, PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.safety.safety_filter import braked
+from redundant_planner.io.bag_files import RecordingError
+from redundant_planner.io.bag_writer import BagWriter
+from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.parameter_files import read_parameter_file, settings_of
+from redundant_planner.io.preview_reader import read_preview
+from redundant_planner.io.printable import printable
+from redundant_planner.io.recorded_configuration import number_of, recorded_obstacles
+from redundant_planner.io.recorded_tick import RecordedTick, TickKind
+from redundant_planner.io.recording import (
+    as_it_is,
+    Bag,
+    ChosenJoints,
+    Event,
+    GAP,
+    JointChunk,
+    LARGEST,
+    open_bag,
+    sound_twist,
+)
+
+Array = npt.NDArray[np.float64]
+
+_RATE = 250
+_FASTEST_RATE = 1000
+# A stamp that is further from the time of its recording is of another clock [s].
+_SAME_CLOCK = 60.0
+
+
+@dataclass
+class Inputs:
+    """What a planner was given; times in seconds from the bag's first message.
+
+    Attributes:
+        robot: the arm.
+        values: the parameters it ran with, as far as they were recorded.
+        parts: of the joint states, with pauses between them: begin and end [s], and the first
+            joint state (n,) [rad, m].
+        ticks: every tick's inputs, if they were recorded, and the times of their recording.
+        twists: times and cmd_vel.
+        obstacles: times and serialised MarkerArrays.
+        previews: arrival times, beginnings by their stamps, and what was announced.
+        commands: joint_command, stamp [ns] → velocities (n,) [rad/s, m/s].
+        raw: times and messages that go into the new bag as they are, by topic.
+    """
+
+    robot: Robot
+    values: dict[str, Any]
+    parts: list[tuple[float, float, Array]] = field(default_factory=list)
+    ticks: list[tuple[float, RecordedTick]] = field(default_factory=list)
+    twists: list[tuple[float, Array]] = field(default_factory=list)
+    obstacles: list[tuple[float, bytes]] = field(default_factory=list)
+    previews: list[tuple[float, float, Preview]] = field(default_factory=list)
+    commands: dict[int, Array] = field(default_factory=dict)
+    raw: list[tuple[str, float, bytes]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
+    """Read what a planner was given.
+
+    Raises:
+        PlannerError: the bag lacks a robot or joint states.
+    """
+    notes: list[str] = []
+    robot, values = robot_of_bag(bag, params, urdf, tip, notes)
+    if robot is None:
+        raise RecordingError(f"'{bag.path}': {'; '.join(notes)}")
+    inputs = Inputs(robot, values, notes=notes)
+    joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out)
+              for topic in ('joint_states', 'joint_command')}
+    for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', 'obstacles',
+                          'cmd_vel_preview', 'robot_description'), order=()):
+        if isinstance(item, JointChunk):
+            chosen = joints[item.topic].of(item)
+            if chosen is None:
+                continue
+            if item.topic == 'joint_command':
+                stamps = np.round(chosen.stamps * 1e9).astype(np.int64) + bag.origin_ns
+                inputs.commands.update(zip(stamps.tolist(), chosen.velocities))
+            else:
+                _extend(inputs.parts, chosen)
+        elif item.topic == 'ticks':
+            try:
+                inputs.ticks.append((item.arrival, _tick(item, robot)))
+            except StateError as error:
+                bag.left_out.add('ticks', str(error))
+        elif item.topic == 'cmd_vel':
+            twist = sound_twist(item, bag.left_out)
+            if twist is not None:
+                inputs.twists.append((item.arrival, twist))
+        elif item.topic == 'cmd_vel_preview':
+            preview = _preview(item)
+            if preview is not None:
+                inputs.previews.append((item.arrival, _begin(item, bag.origin_ns), preview))
+        else:
+            if item.topic == 'obstacles':
+                inputs.obstacles.append((item.arrival, item.raw))
+            inputs.raw.append((item.topic, item.arrival, item.raw))
+    if not inputs.parts:
+        joints['joint_states'].check_found()
+        raise RecordingError('; '.join((
+            f"'{bag.path}' holds no messages on joint_states", *bag.problems)))
+    if len(inputs.parts) > 1:
+        inputs.notes.append(
+            f'joint_states pauses {len(inputs.parts) - 1} times for more than {GAP:g} s; nothing '
+            'is commanded there')
+    inputs.notes += [printable(problem) for problem in bag.problems]
+    return inputs
+
+
+def _extend(parts: list[tuple[float, float, Array]], chunk: JointChunk) -> None:
+    """Add joint states to the last part, or begin another one after a pause."""
+    times = chunk.arrivals
+    begins = [0, *(np.flatnonzero(np.diff(times) > GAP) + 1).tolist()]
+    for begin, after in zip(begins, (*begins[1:], len(times))):
+        first, last = float(times[begin]), float(times[after - 1])
+        if parts and first - parts[-1][1] <= GAP:
+            parts[-1] = (parts[-1][0], max(parts[-1][1], last), parts[-1][2])
+        else:
+            parts.append((first, last, chunk.positions[begin]))
+
+
+def _tick(item: Event, robot: Robot) -> RecordedTick:
+    """Return a recorded tick.
+
+    Raises:
+        StateError: it is none of this robot.
+    """
+    tick = RecordedTick.of(item.message.data)
+    if len(tick.q) != robot.n:
+        raise StateError(f'a recorded tick has {len(tick.q)} joint positions; the robot has '
+                         f'{robot.n} joints')
+    if not (np.abs(np.concatenate((tick.q, tick.twist))) <= LARGEST).all():
+        raise StateError(f'a recorded tick has a posture or twist beyond {LARGEST:g}')
+    return tick
+
+
+def _preview(item: Event) -> Preview | None:
+    """Return what was announced; None where the node refused it, and did not count it."""
+    try:
+        return read_preview(bytes(item.raw))[1]
+    except StateError:
+        return None
+
+
+def _begin(item: Event, origin_ns: int) -> float:
+    """Return when a preview begins: at its stamp, or on receipt if that is of another clock."""
+    stamp = item.message.header.stamp
+    begin = (stamp.sec * 10**9 + stamp.nanosec - origin_ns) * 1e-9
+    return float(begin) if abs(begin - item.arrival) < _SAME_CLOCK else item.arrival
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The commands of a replay.
+
+    Attributes:
+        times: (k,) from the bag's first message [s].
+        positions, velocities: (k, n).
+        twists: (k, 6) commanded, in the command frame.
+    """
+
+    times: Array
+    positions: Array
+    velocities: Array
+    twists: Array
+
+
+def again(inputs: Inputs, parameters: PlannerParameters) -> Replay:
+    """Compute the recorded ticks again from their own inputs, measurements included.
+
+    With the recorded parameters this gives the recorded commands back.
+
+    Raises:
+        RecordingError: the ticks were not recorded from their beginning.
+    """
+    return _rows(inputs, parameters, inputs.ticks[_first_start(inputs):], measured=True)
+
+
+def _first_start(inputs: Inputs) -> int:
+    """Return the first tick whose past does not matter."""
+    for i, (_, tick) in enumerate(inputs.ticks):
+        if tick.kind == TickKind.STARTING:
+            return i
+    raise RecordingError('the bag has no start of a motion on ticks; record from before the '
+                         'planner starts, or after a reset')
+
+
+def otherwise(inputs: Inputs, parameters: PlannerParameters) -> Replay:
+    """Run the planner and an ideal arm from the first joint state on, on the recorded commands."""
+    ticks = inputs.ticks
+    if not ticks:
+        ticks = _ticks_of_topics(inputs)
+    return _rows(inputs, parameters, ticks, measured=False)
+
+
+def _ticks_of_topics(inputs: Inputs) -> list[tuple[float, RecordedTick]]:
+    """Make up ticks at the planner's rate from what arrived when."""
+    rate = _rate(inputs.values)
+    timeout = number_of(inputs.values, 'incoming_command_timeout', COMMAND_TIMEOUT, 10.0)
+    ticks: list[tuple[float, RecordedTick]] = []
+    for begin, end, start in inputs.parts:
+        times = begin + np.arange(round((end - begin) * rate)) / rate
+        ticks += _ticks_at(inputs, times, start, timeout)
+    return ticks
+
+
+def _rate(values: dict[str, Any]) -> int:
+    return max(int(number_of(values, 'rate', _RATE, _FASTEST_RATE)), 1)
+
+
+def _ticks_at(
+    inputs: Inputs, times: Array, start: Array, timeout: float,
+) -> list[tuple[float, RecordedTick]]:
+    """Make up the ticks of a part, whose first joint state is `start`."""
+    arrivals = [np.array([entry[0] for entry in listed]) for listed in (
+        inputs.twists, inputs.obstacles, inputs.previews)]
+    latest, known, announced = (np.searchsorted(a, times, side='right') for a in arrivals)
+    ticks = []
+    kind, still = TickKind.STARTING, np.zeros(6)
+    for time, twist, scene, preview in zip(times, latest, known, announced):
+        fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
+        elapsed = time - inputs.previews[preview - 1][1] if preview and fresh else np.nan
+        ticks.append((float(time), RecordedTick(
+            0, float(time), kind, int(scene), int(preview), float(elapsed),
+            inputs.twists[twist - 1][1] if fresh else still, start)))
+        kind = TickKind.GOING_ON
+    return ticks
+
+
+def _rows(
+    inputs: Inputs, parameters: PlannerParameters, ticks: list[tuple[float, RecordedTick]], *,
+    measured: bool,
+) -> Replay:
+    """Step through ticks, at measured postures or at those of an ideal arm.
+
+    Raises:
+        RecordingError: there are none.
+    """
+    robot = inputs.robot
+    if not ticks:
+        raise RecordingError('the bag is too short: no tick lies between its first joint state '
+                             'and its last')
+    planner = Planner(robot, parameters)
+    values = inputs.values
+    book = ObstacleTracker(
+        recorded_obstacles(values, inputs.notes), (), transform=as_it_is,
+        estimate_velocity=values.get('estimate_obstacle_velocity') is True)
+    dt = 1.0 / _rate(values)
+    q: Array = ticks[0][1].q
+    dq: Array = np.zeros(robot.n)
+    # Ticks that are made up start again after every pause, where the arm was then.
+    made_up = not inputs.ticks
+    applied = 0
+    count = len(ticks)
+    positions, velocities = np.empty((count, robot.n)), np.empty((count, robot.n))
+    previous = ticks[0][1].time
+    for i, (_, tick) in enumerate(track(
+            ticks, description='replaying', console=Console(stderr=True), transient=True,
+            disable=not sys.stderr.isatty())):
+        if measured:
+            q = tick.q
+        # What was taken in after the tick before, with that tick's time.
+        for _, raw in inputs.obstacles[applied:tick.obstacle_messages]:
+            book.update(raw, previous)
+        applied = max(applied, tick.obstacle_messages)
+        if tick.kind == TickKind.BRAKING and measured:
+            dq = braked(dq, robot.acceleration_max, dt)
+        else:
+            if tick.kind == TickKind.STARTING and (measured or made_up or i == 0):
+                planner.reset()
+                q = tick.q
+            book.expire(tick.time)
+            dq = planner.step(q, tick.twist, book.scene, dt, _ahead(inputs, tick)).dq
+        positions[i], velocities[i] = q, dq
+        q, previous = q + dt * dq, tick.time
+    return Replay(np.array([time for time, _ in ticks]), positions, velocities,
+                  np.array([tick.twist for _, tick in ticks]).reshape(-1, 6))
+
+
+def _ahead(inputs: Inputs, tick: RecordedTick) -> TwistAhead | None:
+    if np.isnan(tick.preview_elapsed) or not 0 < tick.preview_messages <= len(inputs.previews):
+        return None
+    preview, elapsed = inputs.previews[tick.preview_messages - 1][2], tick.preview_elapsed
+    if elapsed > preview.times[-1]:
+        return None
+    return lambda times: preview.between(times + elapsed)
+
+
+def write_replay(path: Path, inputs: Inputs, replay: Replay, origin_ns: int, text: str) -> None:
+    """Write a bag of a replay: its joint states and commands, and the recorded inputs.
+
+    Raises:
+        RecordingError: there is something of that name.
+    """
+    robot = inputs.robot
+
+    def ns(time: float) -> int:
+        return origin_ns + round(time * 1e9)
+
+    kinds = {'joint_states': 'sensor_msgs/msg/JointState',
+             'joint_command': 'sensor_msgs/msg/JointState',
+             'cmd_vel': 'geometry_msgs/msg/Twist',
+             'configuration': 'std_msgs/msg/String',
+             'robot_description': 'std_msgs/msg/String',
+             'obstacles': 'visualization_msgs/msg/MarkerArray'}
+    with BagWriter(path) as bag:
+        for topic, kind in kinds.items():
+            bag.add_topic(f'/{topic}', kind)
+        bag.write_text('/configuration', ns(replay.times[0]), text)
+        events = deque(sorted(
+            ((time, topic, raw) for topic, time, raw in inputs.raw), key=lambda event: event[0]))
+        for i, time in enumerate(replay.times):
+            while events and events[0][0] <= time:
+                at, topic, raw = events.popleft()
+                bag.write(f'/{topic}', ns(at), raw)
+            if i == 0 or not np.array_equal(replay.twists[i], replay.twists[i - 1]) or i % 10 == 0:
+                bag.write_twist('/cmd_vel', ns(time), replay.twists[i])
+            bag.write_joints('/joint_states', ns(time), robot.joint_names, replay.positions[i],
+                             replay.velocities[i])
+            bag.write_joints('/joint_command', ns(time), robot.joint_names,
+                             replay.positions[i], replay.velocities[i])
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run replay_bag; return the process's exit status."""
+    parser = argparse.ArgumentParser(prog='replay_bag', description=__doc__)
+    parser.add_argument('bag', type=Path)
+    parser.add_argument('--out', type=Path, help='folder of the new bag (default: BAG_replay)')
+    parser.add_argument('--params', type=Path, help='parameter file that changes some')
+    parser.add_argument('--method', choices=METHODS)
+    parser.add_argument('--robot', type=Path, help='parameter file of the arm, if not recorded')
+    parser.add_argument('--urdf', default='')
+    parser.add_argument('--tip', default='')
+    parser.add_argument('--namespace', default='')
+    options = parser.parse_args(args)
+    out = options.out or options.bag.parent / f'{options.bag.stem}_replay'
+    try:
+        if out.exists():
+            raise PlannerError(f"'{out}' exists already; name a new folder with --out")
+        with open_bag(options.bag, options.namespace) as bag:
+            inputs = read_inputs(bag, options.robot, options.urdf, options.tip)
+            origin_ns = bag.origin_ns
+        recorded = settings_of(PlannerParameters, inputs.values)
+        changed = recorded
+        if options.params is not None:
+            if not options.params.is_file():
+                raise ParameterError(f"'{options.params}' is not a file")
+            changed = settings_of(PlannerParameters, {
+                **_plain(recorded), **read_parameter_file(options.params)})
+        if options.method:
+            changed = replace(changed, method=options.method)
+        exact = changed == recorded and bool(inputs.ticks)
+        replay = again(inputs, changed) if exact else otherwise(inputs, changed)
+        values = {**inputs.values, **{key: list(value) if isinstance(value, tuple) else value
+                                      for key, value in _plain(changed).items()}}
+        write_replay(out, inputs, replay, origin_ns,
+                     str(yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)))
+        if exact:
+            print(f'every tick again with the recorded parameters: {_difference(inputs, replay)}')
+        else:
+            print(f"'{changed.method}' from the first joint state on, with an ideal arm")
+        for note in inputs.notes:
+            print(f'note: {printable(note)}')
+        print(f'bag: {out}')
+    except (PlannerError, OSError) as error:
+        print(f'replay_bag: {printable(str(error))}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print('replay_bag: interrupted', file=sys.stderr)
+        return 130
+    return 0
+
+
+def _plain(parameters: PlannerParameters) -> dict[str, Any]:
+    return dict(vars(parameters))
+
+
+def differences(inputs: Inputs, replay: Replay) -> Array:
+    """Return how far each replayed command is from the recorded one, (k,); lost ones are left out.
+
+    Args:
+        inputs: of the bag.
+        replay: from `again`.
+    """
+    ticks = inputs.ticks[_first_start(inputs):]
+    found = [(inputs.commands[tick.stamp_ns], dq) for (_, tick), dq in zip(
+        ticks, replay.velocities) if tick.stamp_ns in inputs.commands]
+    apart = np.array([np.abs(recorded - dq).max() for recorded, dq in found])
+    return apart[np.isfinite(apart)]  # a command without velocities tells nothing
+
+
+def _difference(inputs: Inputs, replay: Replay) -> str:
+    found = differences(inputs, replay)
+    if not len(found):
+        return 'the bag has none of their commands'
+    return (f'{len(found)} of {len(replay.velocities)} ticks have their command in the bag, '
+            f'largest difference {found.max():.3g}')
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,42 @@
+"""Scenes to plan in, and the loop that a planner closes with an ideal arm."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
+
+DT = 0.004
+NOTHING = Scene.of()
+
+
+def random_scene(robot, seed, count=3):
+    random = np.random.default_rng(seed)
+    obstacles = []
+    for i in range(count):
+        quaternion = random.normal(size=4)
+        obstacles.append(Obstacle(
+            f'o{i}', random.uniform(-0.6, 0.6, 3) + [0.0, 0.0, 0.4],
+            random.uniform(0.03, 0.2, 3), quaternion / np.linalg.norm(quaternion),
+            random.uniform(-0.3, 0.3, 3)))
+    return obstacles
+
+
+def drive(planner, q, twist, scene=NOTHING, seconds=1.0, dt=DT, ahead=None):
+    """Integrate the closed loop; return the postures and results of every tick."""
+    postures, results = [np.array(q, dtype=float)], []
+    for i in range(round(seconds / dt)):
+        now = twist(i * dt) if callable(twist) else twist
+        results.append(planner.step(postures[-1], now, scene, dt, ahead))
+        postures.append(postures[-1] + dt * results[-1].dq)
+    return np.array(postures), results
+
+
+def smallest_level(robot, postures, scene):
+    maps = inflated_ellipsoids(scene, [c.radius for c in robot.capsules])
+    levels = []
+    for q in postures:
+        arm = robot.kinematics(q)
+        levels.append(link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min())
+    return min(levels)

@@ -1,0 +1,119 @@
+"""Leaving obstacles out changes nothing that the planner decides."""
+
+from __future__ import annotations
+
+from conftest import make_panda, make_paper_arm, random_postures
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+
+from redundant_planner.core.obstacles import nearby
+from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.nearby import surroundings
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+
+PANDA = make_panda()
+RADII = np.array([capsule.radius for capsule in PANDA.capsules])
+LEAD, COURSE = 0.1, 2.0
+
+
+def cloud(count, seed, extent=1.5, speed=0.0):
+    random = np.random.default_rng(seed)
+    return Scene.of(
+        Obstacle(f'o{i}', random.uniform(-extent, extent, 3), random.uniform(0.01, 0.1, 3),
+                 velocity=speed * random.normal(size=3)) for i in range(count))
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10**6), st.floats(0.0, 0.3), st.floats(0.01, 0.4))
+def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach):
+    """Against all distances, at postures that random motion leads to."""
+    random = np.random.default_rng(seed)
+    scene = cloud(60, seed, speed=0.2)
+    maps = inflated_ellipsoids(scene, RADII, LEAD)
+    (q,) = random_postures(PANDA, 1, seed)
+    arm = PANDA.kinematics(q)
+    limit = np.full(len(RADII), reach) * random.uniform(0.5, 1.0, len(RADII))
+    around = surroundings(
+        scene, RADII, LEAD, arm.segment_start, arm.segment_end, q, limit, COURSE)
+    assert around.hold(scene, q, PANDA.levers, limit)
+    left_out = ~np.isin(np.arange(60), around.near)
+    for _ in range(20):
+        q = q + step * random.normal(size=7) * 0.1
+        arm = PANDA.kinematics(q)
+        pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
+        if around.hold(scene, q, PANDA.levers, limit):
+            assert (pairs.distance[:, left_out] > limit[:, None] - 1e-9).all()
+    assert not around.hold(cloud(60, seed, speed=0.2), q, PANDA.levers, limit)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 10**6), st.integers(1, 40), st.floats(0.0, 3.0))
+def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed, most, reach):
+    scene = cloud(60, seed, speed=0.2)
+    (q,) = random_postures(PANDA, 1, seed)
+    arm = PANDA.kinematics(q)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(nearby, 'MOST_NEAR', most)
+        patch.setattr(nearby, 'MOST_AHEAD', most)
+        around = surroundings(scene, RADII, LEAD, arm.segment_start, arm.segment_end, q,
+                              np.full(len(RADII), reach), COURSE)
+    assert 1 <= len(around.near) <= most and len(around.nearest) == most
+    distance = link_clearance(
+        inflated_ellipsoids(scene, RADII, LEAD), arm.segment_start, arm.segment_end).distance
+    left_out = ~np.isin(np.arange(60), around.near)
+    assert (distance[:, left_out] > around.range[:, None] - 1e-9).all()
+    assert around.crowded or not left_out.any() or (distance[:, left_out] > reach).all()
+    np.testing.assert_array_equal(around.maps.centers, scene.centers[around.near])
+    np.testing.assert_array_equal(around.ahead.centers, scene.centers[around.nearest])
+    # Round ones are exactly in the order of their distance.
+    balls = Scene.of(Obstacle(o.name, o.center, np.full(3, o.semi_axes[0]))
+                     for o in scene.obstacles())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(nearby, 'MOST_AHEAD', most)
+        nearest = surroundings(balls, RADII, LEAD, arm.segment_start, arm.segment_end, q,
+                               np.full(len(RADII), reach), COURSE).nearest
+    least = link_clearance(
+        inflated_ellipsoids(balls, RADII, LEAD),
+        arm.segment_start, arm.segment_end).distance.min(axis=0)
+    assert least[nearest].max() <= np.delete(least, nearest).min() + 1e-9
+
+
+@pytest.mark.parametrize('speed', [0.0, 0.2])
+@pytest.mark.parametrize('make', [make_panda, make_paper_arm])
+def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch):
+    """A hall full of obstacles, some on the way; tick by tick to round-off.
+
+    Without looking ahead, which dynamic_factor does among few obstacles only, and without bounds
+    on how many a tick takes in.
+    """
+    monkeypatch.setattr(nearby, 'MOST_NEAR', 10**9)
+    monkeypatch.setattr(nearby, 'MOST_AHEAD', 10**9)
+    robot = make()
+    random = np.random.default_rng(1)
+    start = random_postures(robot, 1, 5)[0]
+    arm = robot.kinematics(start)
+    scene = cloud(400, 2, extent=2.0, speed=speed)
+    radii = np.array([capsule.radius + 0.03 for capsule in robot.capsules])
+    free = (link_clearance(inflated_ellipsoids(scene, radii), arm.segment_start, arm.segment_end)
+            .clearance > 0.0).all(axis=0)
+    scene = Scene.of(o for o, is_free in zip(scene.obstacles(), free) if is_free)
+    twists = 0.2 * random.normal(size=(6, 6))
+
+    def run():
+        planner, q, decided = Planner(robot, PlannerParameters(look_ahead=0.0)), start, []
+        for i in range(360):
+            result = planner.step(q, twists[i // 60], scene, 0.004)
+            q = q + 0.004 * result.dq
+            decided.append((result.dq, result.scale, result.stage))
+        return decided
+
+    quick = run()
+    monkeypatch.setattr('redundant_planner.core.planner.FEW', 10**9)
+    for (dq, scale, stage), (all_dq, all_scale, all_stage) in zip(quick, run()):
+        np.testing.assert_allclose(dq, all_dq, atol=1e-7)
+        assert scale == pytest.approx(all_scale, abs=1e-6) and stage == all_stage
+    assert any(stage.name != 'DESIRED' for _, _, stage in quick)
+    assert len(scene.names) > nearby.FEW

@@ -1,0 +1,159 @@
+"""What is compiled does what it says in Python, for the types that it names."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from conftest import make_panda, PANDA_READY
+import numpy as np
+import pytest
+
+import redundant_planner
+from redundant_planner import compile
+from redundant_planner.core.kernels import (
+    _private,
+    compiled,
+    drop_damaged,
+    Fields,
+    Matrix,
+    OutVector,
+    seal,
+    Vector,
+)
+from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.self_collision import LinkPairs
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+
+
+def motion(method: str) -> list[list[float]]:
+    """Joint velocities of an arm that runs into an obstacle, limits and its own braking."""
+    robot = make_panda()
+    planner = Planner(robot, PlannerParameters(
+        method=method, horizon_nodes=4, influence_distance=0.4))
+    scene = Scene.of([
+        Obstacle('ball', np.array([0.45, 0.05, 0.45]), np.array([0.05, 0.04, 0.08])),
+        Obstacle('other', np.array([0.3, -0.4, 0.6]), np.full(3, 0.1), velocity=(0.1, 0.2, 0))])
+    q, rows = PANDA_READY.copy(), []
+    for i in range(40):
+        twist = np.array([0.3, 0.2, -0.1, 0.1, 0.0, 0.4]) if i < 30 else np.zeros(6)
+        dq = planner.step(q, twist, scene, 0.02).dq
+        q = q + 0.02 * dq
+        rows.append(dq.tolist())
+    return rows
+
+
+@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
+def test_machine_code_does_what_the_python_does(method):
+    code = f'import json, test_kernels; print(json.dumps(test_kernels.motion({method!r})))'
+    here = Path(__file__).parent
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=True,
+        env={**os.environ, 'NUMBA_DISABLE_JIT': '1',
+             'PYTHONPATH': os.pathsep.join((str(here), str(here.parent), *sys.path))})
+    np.testing.assert_allclose(motion(method), json.loads(done.stdout), atol=1e-7)
+
+
+def test_a_wrong_type_is_an_error_and_never_compiled_for():
+    @compiled
+    def total(values: Vector) -> float:
+        return values.sum()
+
+    assert total(np.arange(3.0)) == 3.0
+    read_only = np.arange(6.0)[::2]
+    read_only.setflags(write=False)
+    assert total(read_only) == 6.0
+    for wrong in (np.arange(3), np.zeros((2, 2)), [1.0]):
+        with pytest.raises(TypeError):
+            total(wrong)
+
+
+def test_tuples_go_in_as_their_fields_and_arrays_can_be_filled():
+    @compiled
+    def fill(pairs: Fields[LinkPairs], weights: Matrix, result: OutVector) -> float:
+        pairs = LinkPairs(*pairs)
+        for i in range(len(result)):
+            result[i] = weights[i, 0] * pairs.distance[i] + pairs.points[i, 0, 0]
+        return 1.0 / weights[0, 1]
+
+    result = np.empty(2)
+    assert fill((np.array([1.0, 2.0]), np.ones((2, 2, 3))), np.array([[2.0, 0.0], [3.0, 0.0]]),
+                result) == np.inf
+    np.testing.assert_array_equal(result, [3.0, 7.0])
+
+
+def spoil(file, how):
+    content = file.read_bytes()
+    file.write_bytes({
+        'empty': b'', 'cut': content[:len(content) // 2],
+        'altered': content[:-9] + bytes([content[-9] ^ 255]) + content[-8:]}[how])
+
+
+@pytest.mark.parametrize('how', ['empty', 'cut', 'altered', 'unsealed'])
+def test_damaged_machine_code_is_not_kept(tmp_path, how):
+    for name in ('a.one-1.py312.nbi', 'a.one-1.py312.1.nbc', 'a.other-9.py312.nbi'):
+        (tmp_path / name).write_bytes(b'machine code')
+    seal(tmp_path, '.one-')
+    seal(tmp_path, '.other-')
+    drop_damaged(tmp_path)
+    assert len(list(tmp_path.glob('*.nb?'))) == 3
+    bad = tmp_path / 'a.one-1.py312.1.nbc'
+    if how == 'unsealed':
+        bad.with_name(bad.name + '.sum').unlink()
+    else:
+        spoil(bad, how)
+    drop_damaged(tmp_path)
+    assert not bad.exists() and len(list(tmp_path.glob('*.nb?'))) == 2
+
+
+def test_a_start_with_damaged_machine_code_compiles_it_anew(tmp_path):
+    """Each kept file of a module spoilt in some way; the module works, and is kept again."""
+    code = ('import numpy as np; from redundant_planner.core.robot import jacobian; '
+            'print(jacobian.derivative_times.stats)')
+
+    def start():
+        done = subprocess.run(
+            [sys.executable, '-c', code], capture_output=True, text=True, check=True,
+            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)})
+        return done.stdout, done.stderr
+
+    assert 'compiling' in start()[1]
+    said, complaint = start()
+    assert not complaint and 'cache_misses=Counter()' in said
+    files = sorted(file for kind in ('*.nbi', '*.nbc') for file in tmp_path.rglob(kind))
+    assert len(files) >= 6
+    for file, how in zip(files, itertools.cycle(['empty', 'cut', 'altered'])):
+        spoil(file, how)
+    assert 'compiling' in start()[1]
+    assert not start()[1]
+
+
+@pytest.mark.parametrize('mode', [0o777, 0o770])
+def test_machine_code_that_others_can_write_is_not_loaded(tmp_path, mode):
+    folder = tmp_path / 'kept'
+    folder.mkdir()
+    assert _private(folder)
+    folder.chmod(mode)
+    assert not _private(folder)
+    (tmp_path / 'file').touch()
+    assert not _private(tmp_path / 'file' / 'below')
+
+
+def test_compile_knows_every_module_with_compiled_functions():
+    """What it leaves out would be compiled at the first start of a node."""
+    package = Path(redundant_planner.__file__).parent
+    named = [f'redundant_planner.{name}' for lanes in compile.STEPS for lane in lanes
+             for name in lane]
+    code = f'import {", ".join(named)}, sys; print(*sys.modules)'
+    loaded = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                            check=True).stdout.split()
+    for file in package.rglob('*.py'):
+        if any(line in ('@compiled', '@kernel') for line in file.read_text().splitlines()):
+            parts = file.relative_to(package).with_suffix('').parts
+            assert '.'.join(('redundant_planner', *parts)) in loaded

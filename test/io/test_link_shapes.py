@@ -1,0 +1,308 @@
+"""Capsules from the collision geometry of URDFs, meshes and primitives."""
+
+from __future__ import annotations
+
+import struct
+
+from conftest import EXAMPLE_ROBOTS, PANDA_URDF, planar_urdf
+from hypothesis import given, HealthCheck, settings, strategies as st
+import numpy as np
+import pytest
+
+from redundant_planner.core.errors import RobotError
+from redundant_planner.core.robot.capsule_fit import distances, Shape
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.io import link_shapes
+from redundant_planner.io.link_shapes import collision_pieces, fitted_capsules
+from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.robot_files import build_robot, likely_tip, load_robot
+from redundant_planner.tools.show_robot import main as show_robot
+
+ARMS = {
+    'panda_description/urdf/panda.urdf': 'panda_hand',
+    'xarm_description/urdf/xarm7.urdf': 'link_eef',
+    'ur_description/urdf/ur5_robot.urdf': 'tool0',
+    'kinova_description/robots/kinova.urdf': 'j2s6s200_link_finger_tip_2',
+    'z1_description/urdf/z1.urdf': 'gripperMover',
+    'tiago_description/robots/tiago_no_hand.urdf': 'wrist_ft_tool_link',
+}
+
+
+@pytest.mark.parametrize(('file', 'tip'), ARMS.items(), ids=[f.split('_')[0] for f in ARMS])
+def test_every_corner_of_an_arms_geometry_is_inside(file, tip):
+    path = EXAMPLE_ROBOTS / file
+    text = path.read_text()
+    assert likely_tip(text) == tip
+    robot = Robot(text, tip, capsules=[], velocity_max=1.0)
+    fits = {fit.joint: fit for fit in fitted_capsules(robot, path.parent, cache=False)}
+    for piece in collision_pieces(robot, path.parent):
+        fit = fits[piece.joint]
+        points = robot.in_link(fit.capsules[0].frame, piece.link, piece.points)
+        outside = np.min([distances(points, Shape(c.start, c.end, c.radius)) - c.radius
+                          for c in fit.capsules], axis=0)
+        assert outside.max() <= 0.0, piece.link
+    ratios = [fit.ratio for fit in fits.values()]
+    assert np.median(ratios) < 2.3 and all(len(fit.capsules) < 5 for fit in fits.values())
+
+
+def arm_with(geometry):
+    """A planar arm whose middle link has one collision element."""
+    return planar_urdf().replace('<link name="link2"/>', (
+        '<link name="link2"><collision><origin xyz="0.1 0 0" rpy="0 1.5707963 0"/>'
+        f'<geometry>{geometry}</geometry></collision></link>'))
+
+
+@pytest.mark.parametrize(('geometry', 'expected'), [
+    ('<sphere radius="0.07"/>', Shape(np.array([0.1, 0, 0]), np.array([0.1, 0, 0]), 0.07)),
+    ('<cylinder radius="0.02" length="0.8"/>', None), ('<box size="0.1 0.2 0.9"/>', None)])
+def test_primitives_stand_where_their_origin_puts_them(geometry, expected):
+    robot = Robot(arm_with(geometry), 'tip', capsules=[], axes=('vx', 'vy'))
+    (fit,) = fitted_capsules(robot, None, cache=False)
+    (capsule,) = fit.capsules
+    assert (capsule.frame, capsule.name, fit.joint) == ('link2', 'link2', 'joint2')
+    middle = 0.5 * (capsule.start + capsule.end)
+    np.testing.assert_allclose(middle, [0.1, 0.0, 0.0], atol=5e-3)
+    if expected is not None:
+        assert capsule.radius == pytest.approx(expected.radius, abs=3e-5)
+    else:  # the element's z axis points along the link's x axis
+        along = np.abs(capsule.end - capsule.start)
+        assert along[0] > 10.0 * along[1:].max()
+
+
+def tetrahedron(path, size=1.0):
+    """Write a mesh with its corners at the origin and at `size` on every axis."""
+    corners = np.vstack((np.zeros(3), np.diag([size] * 3)))
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    data = b'\0' * 80 + struct.pack('<I', len(faces))
+    for face in faces:
+        data += struct.pack('<12fH', *np.zeros(3), *corners[list(face)].ravel(), 0)
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize('location', ['mesh.stl', 'package://{package}/urdf/mesh.stl',
+                                      'file://{folder}/mesh.stl'])
+def test_meshes_are_found_relative_by_package_and_by_file_and_scaled(tmp_path, location):
+    folder = tmp_path / 'my_arm' / 'urdf'
+    folder.mkdir(parents=True)
+    tetrahedron(folder / 'mesh.stl')
+    name = location.format(package='my_arm', folder=folder)
+    robot = Robot(arm_with(f'<mesh filename="{name}" scale="0.1 0.2 0.3"/>'), 'tip', capsules=[],
+                  axes=('vx', 'vy'))
+    points = np.vstack([p.points for p in collision_pieces(robot, folder)])
+    size = points.max(axis=0) - points.min(axis=0)
+    np.testing.assert_allclose(np.sort(size), [0.1, 0.2, 0.3], atol=1e-6)
+
+
+def test_what_is_missing_is_named(tmp_path):
+    gone = Robot(arm_with('<mesh filename="gone.stl"/>'), 'tip', capsules=[], axes=('vx', 'vy'))
+    with pytest.raises(RobotError, match=r"mesh of link 'link2': 'gone.stl' is not a file"):
+        collision_pieces(gone, tmp_path)
+    bare = Robot(planar_urdf(), 'tip', capsules=[], axes=('vx', 'vy'))
+    with pytest.raises(RobotError, match="set link_shapes to 'straight'"):
+        collision_pieces(bare, None)
+
+
+@pytest.mark.parametrize(('geometry', 'message'), [
+    ('<sphere radius="abc"/>', "sphere in the collision geometry of link 'link2' has radius='abc"),
+    ('<sphere radius="nan"/>', "has radius='nan'"), ('<sphere radius="inf"/>', "radius='inf'"),
+    ('<sphere radius="-0.1"/>', r'has the sizes \[-0.1\]; they must be positive'),
+    ('<sphere radius="0"/>', 'must be positive'), ('<sphere/>', 'lacks radius; it takes a number'),
+    ('<cylinder radius="0.1"/>', 'lacks length'), ('<box size="0.1 0.2"/>', "size='0.1 0.2'"),
+    ('<box size="0.1 0.2 0"/>', 'must be positive'),
+    ('<cone radius="0.1"/>', "link 'link2' has a <cone>, which no capsule can be fitted to"),
+    ('', "link 'link2' holds 0 shapes; it takes one"),
+    ('<sphere radius="0.1"/><sphere radius="0.1"/>', 'holds 2 shapes'),
+    ('<mesh filename="~nouser/x"/>', "mesh of link 'link2': '~nouser/x' cannot be looked up"),
+    (f'<mesh filename="{"x" * 5000}"/>', "mesh of link 'link2': 'xxx.*cannot be looked up"),
+    ('<mesh filename="good.stl" scale="1 1 0"/>', "mesh of link 'link2' has a scale of 0"),
+    ('<mesh filename="good.stl" scale="1 1"/>', "mesh of link 'link2' has scale='1 1'"),
+    ('<mesh filename="nan.stl"/>', "mesh of link 'link2': .*nan.stl' has 4 vertices; it takes"),
+    ('<mesh filename="huge.stl"/>', r"huge.stl' has 4 vertices; .* within ±10000 m"),
+    ('<mesh filename="cut.stl"/>', "mesh of link 'link2': .*cut.stl' cannot be read"),
+    ('<mesh filename="text.dae"/>', "mesh of link 'link2': .*text.dae' cannot be read"),
+])
+def test_a_collision_element_that_cannot_be_used_is_refused_by_its_link(
+        tmp_path, geometry, message):
+    tetrahedron(tmp_path / 'good.stl')
+    tetrahedron(tmp_path / 'nan.stl', np.nan)
+    tetrahedron(tmp_path / 'huge.stl', 1e30)
+    (tmp_path / 'cut.stl').write_bytes((tmp_path / 'good.stl').read_bytes()[:100])
+    (tmp_path / 'text.dae').write_text('no mesh')
+    # A good element beside it must not hide the bad one.
+    text = arm_with(geometry).replace('</link>', (
+        '<collision><geometry><sphere radius="0.1"/></geometry></collision></link>'), 1)
+    robot = Robot(text, 'tip', capsules=[], axes=('vx', 'vy'))
+    with pytest.raises(RobotError, match=message):
+        fitted_capsules(robot, tmp_path, cache=False)
+
+
+@pytest.mark.parametrize('origin', ['xyz="nan 0 0"', 'xyz="0 0"', 'rpy="0 east 0"', 'rpy=""'])
+def test_a_collision_element_that_stands_nowhere_is_refused(origin):
+    text = arm_with('<sphere radius="0.1"/>').replace('xyz="0.1 0 0" rpy="0 1.5707963 0"', origin)
+    robot = Robot(text, 'tip', capsules=[], axes=('vx', 'vy'))
+    with pytest.raises(RobotError, match="origin of the collision geometry of link 'link2' has"):
+        collision_pieces(robot, None)
+
+
+def test_a_link_that_is_seen_but_has_no_collision_geometry_is_named():
+    text = arm_with('<sphere radius="0.1"/>').replace(
+        '<link name="link3"/>', '<link name="link3"><visual/></link>')
+    said = []
+    build_robot(RobotParameters(tip_frame='tip', axes=('vx', 'vy')), text, {}, warn=said.append)
+    assert said == ["no collision geometry, so nothing keeps obstacles away: 'link3'"]
+
+
+def test_more_collision_elements_than_can_be_fitted_in_time_are_refused():
+    many = '<collision><geometry><sphere radius="0.1"/></geometry></collision>' * 101
+    text = planar_urdf().replace('<link name="link2"/>', f'<link name="link2">{many}</link>')
+    with pytest.raises(RobotError, match="'joint2' carries have 101 collision elements"):
+        collision_pieces(Robot(text, 'tip', capsules=[], axes=('vx', 'vy')), None)
+
+
+@pytest.fixture
+def cached(tmp_path, monkeypatch):
+    """An arm whose fit is kept, the fit, and the file."""
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    robot = Robot(arm_with('<box size="0.1 0.2 0.3"/>'), 'tip', capsules=[], axes=('vx', 'vy'))
+    fits = fitted_capsules(robot, None)
+    (file,) = (tmp_path / 'redundant_planner').iterdir()
+    return robot, fits, file
+
+
+def numbers_of(fits):
+    return [(fit.joint, fit.links, c.name, c.frame, *c.start, *c.end, c.radius)
+            for fit in fits for c in fit.capsules]
+
+
+def test_a_fit_is_kept_and_found_again(cached, monkeypatch):
+    robot, fits, _ = cached
+    with monkeypatch.context() as context:
+        context.setattr(link_shapes, '_fit', None)  # whoever fits again, fails
+        assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)
+    other = Robot(arm_with('<box size="0.1 0.2 0.4"/>'), 'tip', capsules=[], axes=('vx', 'vy'))
+    assert numbers_of(fitted_capsules(other, None)) != numbers_of(fits)
+
+
+def test_a_fit_with_a_joint_locked_elsewhere_is_another_one(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    text = arm_with('<sphere radius="0.1"/>').replace('<link name="link3"/>', (
+        '<link name="link3"><collision><origin xyz="0.3 0 0"/><geometry><sphere radius="0.1"/>'
+        '</geometry></collision></link>'))
+    straight, bent = (
+        fitted_capsules(Robot(text, 'tip', capsules=[], axes=('vx', 'vy'),
+                              locked_positions={'joint3': angle}), None) for angle in (0.0, 1.5))
+    assert numbers_of(straight) != numbers_of(bent)
+
+
+@given(data=st.data())
+@settings(max_examples=40, deadline=None,
+          suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_damaged_cache_is_recognised_and_made_anew(cached, data):
+    robot, fits, file = cached
+    good = file.read_bytes()
+    place = data.draw(st.integers(0, len(good) - 1))
+    damaged = data.draw(st.sampled_from([
+        b'', b'[]', b'{}', b'null', b'[' * 100_000, good[:place], good + b' ',
+        good[:place] + bytes([good[place] ^ 1]) + good[place + 1:]]))
+    file.write_bytes(damaged)
+    assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)
+    assert file.read_bytes() == good
+
+
+@pytest.mark.parametrize('content', ['[]', '[{}]', '{}', 'null', '{"joint": 1}'])
+def test_a_whole_cache_that_lacks_links_is_made_anew(cached, content):
+    robot, fits, file = cached
+    key = link_shapes._key(robot, link_shapes._elements(robot, None))
+    good = file.read_bytes()
+    file.write_bytes(link_shapes._seal(key, content.encode()) + b'\n' + content.encode())
+    assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)
+    assert file.read_bytes() == good
+
+
+def test_a_cache_that_cannot_be_written_leaves_nothing_behind(cached, monkeypatch):
+    robot, fits, file = cached
+    file.unlink()
+
+    def full(*_):
+        raise OSError('no space left on device')
+
+    monkeypatch.setattr(link_shapes.os, 'replace', full)
+    assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)
+    assert list(file.parent.iterdir()) == []
+
+
+def test_show_robot_prints_a_parameter_file_that_loads(tmp_path, capsys):
+    picture = tmp_path / 'panda.png'
+    assert show_robot(['--urdf', str(PANDA_URDF), '--out', str(picture)]) == 0
+    file = tmp_path / 'panda.yaml'
+    file.write_text(capsys.readouterr().out)
+    robot = load_robot(file)
+    assert robot.tip_frame == 'panda_hand' and robot.n == 7
+    assert 7 <= len(robot.capsules) <= 10 and picture.stat().st_size > 50_000
+
+
+def test_show_robot_keeps_what_the_parameters_say(tmp_path, capsys):
+    given = tmp_path / 'given.yaml'
+    given.write_text(f"""
+/**:
+  ros__parameters:
+    urdf: {PANDA_URDF}
+    tip_frame: panda_hand
+    axes: [vx, vy, vz]
+    command_frame: tool
+    locked_joints: [panda_joint3]
+    locked_positions: [0.2]
+    acceleration_max: [7.0]
+""")
+    assert show_robot(['--params', str(given), '--out', str(tmp_path / 'p.png')]) == 0
+    printed = tmp_path / 'printed.yaml'
+    printed.write_text(capsys.readouterr().out)
+    robot = load_robot(printed)
+    assert robot.n == 6 and robot.m == 3 and robot.command_frame == 'tool'
+    assert 'panda_joint3' not in robot.joint_names
+    np.testing.assert_array_equal(robot.acceleration_max, 7.0)
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    ([], 'give --urdf or --params'), (['--urdf', '/no/such.urdf'], 'is not a file'),
+    (['--params', '/no/such.yaml'], 'cannot be read: No such file'),
+    (['--urdf', str(PANDA_URDF), '--tip', 'nose'], "tip_frame 'nose'"),
+    (['--urdf', str(PANDA_URDF), '--posture', '1'], 'posture has shape')])
+def test_show_robot_says_in_one_line_what_is_wrong(arguments, message, capsys, tmp_path):
+    assert show_robot([*arguments, '--out', str(tmp_path / 'x.png')]) == 2
+    error = capsys.readouterr().err
+    assert message in error and 'Traceback' not in error
+
+
+def test_a_joint_that_mimics_another_stands_with_it():
+    """Locked fingers: the follower stands at multiplier × leader + offset."""
+    urdf = planar_urdf(('revolute', 'revolute', 'revolute')).replace('</robot>', (
+        '<link name="a"/><link name="b"/>'
+        '<joint name="lead" type="prismatic"><parent link="tip"/><child link="a"/>'
+        '<axis xyz="1 0 0"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint>'
+        '<joint name="follow" type="prismatic"><parent link="tip"/><child link="b"/>'
+        '<axis xyz="1 0 0"/><limit lower="-9" upper="9" velocity="1" effort="1"/>'
+        '<mimic joint="lead" multiplier="2" offset="0.1"/></joint></robot>'))
+    robot = Robot(urdf, 'tip', locked_positions={'lead': 0.3}, axes=('vx', 'vy'))
+    along = robot.in_link('tip', 'b', np.zeros((1, 3)))[0]
+    np.testing.assert_allclose(along, [0.7, 0.0, 0.0], atol=1e-12)
+    with pytest.raises(RobotError, match=r"joint 'follow' .* mimics 'lead'"):
+        Robot(urdf, 'b', axes=('vx', 'vy'))
+
+
+def test_parameters_know_both_kinds_of_link_shapes():
+    assert RobotParameters().link_shapes == 'fitted'
+
+
+@pytest.mark.parametrize('options', [
+    ['--urdf', 'folder'], ['--urdf', 'latin'], ['--urdf', '~nouser/arm.urdf'],
+    ['--params', 'folder'], ['--params', 'latin'], ['--params', 'nothing.yaml'],
+    ['--urdf', str(PANDA_URDF), '--out', 'folder/picture.shape'],
+    ['--urdf', str(PANDA_URDF), '--out', 'nowhere/picture.png']])
+def test_show_robot_says_in_a_line_what_it_cannot_read_or_write(
+        tmp_path, monkeypatch, capsys, options):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'latin').write_bytes(b'<robot name="\xe9"/>')
+    assert show_robot(options) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith('show_robot: ')

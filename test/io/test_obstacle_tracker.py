@@ -1,0 +1,316 @@
+"""Obstacles from markers: shapes, frames, velocities, thousands of them."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Time
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pinocchio as pin
+import pytest
+from rclpy.serialization import serialize_message
+from visualization_msgs.msg import Marker, MarkerArray
+
+from redundant_planner.core.errors import ObstacleError
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.io import obstacle_tracker
+from redundant_planner.io.obstacle_tracker import MOST_FRAMES, ObstacleTracker
+
+
+def marker(number=0, at=(0.0, 0.0, 0.0), kind=Marker.SPHERE, stamp=0.0, frame='base', **fields):
+    made = Marker(ns='o', id=number, type=kind, **fields)
+    made.header.frame_id = frame
+    made.header.stamp = Time(sec=int(stamp), nanosec=round(stamp % 1.0 * 1e9))
+    made.pose.position.x, made.pose.position.y, made.pose.position.z = map(float, at)
+    made.pose.orientation.w = 1.0
+    made.scale.x, made.scale.y, made.scale.z = 0.2, 0.4, 0.6
+    return made
+
+
+def tell(book, now, *markers):
+    return book.update(serialize_message(MarkerArray(markers=list(markers))), now)
+
+
+@pytest.mark.parametrize('kind', [Marker.CUBE, Marker.CYLINDER])
+def test_boxes_and_cylinders_lie_inside_their_ellipsoids_and_touch_them(kind):
+    book = ObstacleTracker([], ['base'])
+    assert not tell(book, 0.0, marker(kind=kind))
+    half = np.array([0.1, 0.2, 0.3])
+    if kind == Marker.CUBE:
+        signs = np.array(np.meshgrid((-1, 1), (-1, 1), (-1, 1))).reshape(3, -1).T
+        points = signs * half
+    else:
+        turn = np.linspace(0.0, 2.0 * np.pi, 40)
+        points = np.vstack([np.column_stack(
+            (0.1 * np.cos(turn), 0.2 * np.sin(turn), np.full(40, z))) for z in (-0.3, 0.3)])
+    levels = np.square(points / book.scene.semi_axes[0]).sum(axis=1)
+    np.testing.assert_allclose(levels, 1.0)
+
+
+def test_the_velocity_comes_from_successive_poses_by_their_stamps():
+    book = ObstacleTracker([], ['base'], estimate_velocity=True)
+    tell(book, 0.0, marker(stamp=10.0), marker(1))
+    np.testing.assert_array_equal(book.scene.velocities, 0.0)
+    tell(book, 0.5, marker(at=(0.01, 0.0, -0.02), stamp=10.1), marker(1, at=(0.0, 0.3, 0.0)))
+    np.testing.assert_allclose(book.scene.velocities[0], [0.1, 0.0, -0.2], atol=1e-9)
+    # Without stamps the time of arrival counts.
+    np.testing.assert_allclose(book.scene.velocities[1], [0.0, 0.6, 0.0], atol=1e-9)
+    # The same measurement once more is no standstill; a leap is no motion.
+    tell(book, 0.6, marker(at=(0.01, 0.0, -0.02), stamp=10.1))
+    np.testing.assert_allclose(book.scene.velocities[0], [0.1, 0.0, -0.2], atol=1e-9)
+    tell(book, 0.7, marker(at=(5.0, 0.0, 0.0), stamp=10.2))
+    np.testing.assert_array_equal(book.scene.velocities[0], 0.0)
+    # Whatever is silent for a while stands still.
+    book.expire(0.75)
+    assert book.scene.velocities[1].any()
+    book.expire(1.0)
+    np.testing.assert_array_equal(book.scene.velocities, 0.0)
+
+
+def test_velocities_are_not_estimated_unasked():
+    book = ObstacleTracker([], ['base'])
+    tell(book, 0.0, marker())
+    tell(book, 0.1, marker(at=(0.01, 0.0, 0.0)))
+    np.testing.assert_array_equal(book.scene.velocities, 0.0)
+
+
+def test_other_frames_are_looked_up_or_refused_by_name():
+    turn = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
+
+    def transform(frame):
+        if frame != 'camera':
+            raise ObstacleError('tf2 knows no way from there')
+        return np.array([1.0, 0.0, 0.0]), turn
+
+    book = ObstacleTracker([], ['base'], transform=transform)
+    problems = tell(book, 0.0, marker(at=(0.1, 0.0, 0.0), frame='camera'), marker(1, frame='moon'),
+                    marker(2))
+    assert problems == ["obstacle 'o/1' is given in frame 'moon'; tf2 knows no way from there"]
+    assert book.scene.names == ('o/0', 'o/2')
+    np.testing.assert_allclose(book.scene.centers, [[1.0, 0.1, 0.0], [0.0, 0.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(book.scene.rotations[0], turn, atol=1e-12)
+
+
+def test_a_message_is_applied_in_its_order():
+    book = ObstacleTracker([], ['base'])
+    tell(book, 0.0, marker(), marker(1))
+    tell(book, 0.0, marker(2), marker(action=Marker.DELETEALL), marker(3),
+         marker(3, action=Marker.DELETE), marker(4), marker(4, at=(1.0, 0.0, 0.0)))
+    assert book.scene.names == ('o/4',)
+    np.testing.assert_array_equal(book.scene.centers, [[1.0, 0.0, 0.0]])
+
+
+def test_a_scene_that_is_told_again_is_the_same_object():
+    book = ObstacleTracker([Obstacle('wall', np.zeros(3), np.ones(3))], ['base'])
+    tell(book, 0.0, marker(), marker(1))
+    scene = book.scene
+    tell(book, 1.0, marker(), marker(1))
+    assert book.scene is scene
+    tell(book, 2.0, marker(1, at=(0.0, 0.1, 0.0)))
+    assert book.scene is not scene and scene.centers[2, 1] == 0.0
+
+
+def test_many_problems_are_summed_up():
+    book = ObstacleTracker([], ['base'])
+    problems = tell(book, 0.0, *(marker(i, kind=Marker.ARROW) for i in range(50)))
+    assert len(problems) == 4 and problems[-1] == '47 more obstacles like that'
+    assert 'no MarkerArray' in book.update(b'nonsense', 0.0)[0]
+
+
+def test_a_thousand_markers_keep_their_identity():
+    random = np.random.default_rng(0)
+    book = ObstacleTracker([], ['base'])
+    places = random.normal(size=(1000, 3))
+    tell(book, 0.0, *(marker(i, at=p) for i, p in enumerate(places)))
+    order = random.permutation(1000)
+    places += 0.1
+    tell(book, 0.1, *(marker(int(i), at=places[i]) for i in order))
+    assert book.scene.names == tuple(f'o/{i}' for i in range(1000))
+    np.testing.assert_allclose(book.scene.centers, places)
+
+
+def test_a_detector_that_sees_nothing_any_more():
+    """Empty messages after others: what was remembered of those no longer holds."""
+    book = ObstacleTracker([], ['base'])
+    for told in ([marker(), marker(1)], [], [], [marker()], [], [],
+                 [marker(i) for i in range(3)],
+                 [marker(i, action=Marker.DELETE) for i in range(3)], [], []):
+        assert tell(book, 0.0, *told) == []
+    assert book.scene.names == ()
+
+
+def test_more_obstacles_than_are_kept_in_mind_are_refused(monkeypatch):
+    monkeypatch.setattr(obstacle_tracker, 'MOST_OBSTACLES', 3)
+    book = ObstacleTracker([], ['base'])
+    assert tell(book, 0.0, *(marker(i) for i in range(5))) == [
+        '2 obstacles are too many: up to 3 are kept in mind']
+    assert book.scene.names == ('o/0', 'o/1', 'o/2')
+    assert tell(book, 0.0, marker(0, action=Marker.DELETE)) == []
+    assert tell(book, 0.0, marker(4)) == [] and book.scene.names == ('o/1', 'o/2', 'o/4')
+
+
+def test_too_many_frames_are_refused_without_being_looked_up():
+    asked = []
+
+    def transform(frame):
+        asked.append(frame)
+        return np.zeros(3), np.eye(3)
+
+    book = ObstacleTracker([], ['base'], transform=transform)
+    problems = tell(book, 0.0, *(marker(i, frame=f'f{i}') for i in range(1000)))
+    assert len(asked) == len(book.scene.names) == MOST_FRAMES
+    assert "obstacle 'o/20' is given in frame 'f20'" in problems[0] and len(problems) == 4
+
+
+@pytest.mark.parametrize(('origin', 'scale'), [
+    (np.array([np.nan, 0.0, 0.0]), 1.0), (np.array([2e6, 0.0, 0.0]), 1.0), (np.zeros(3), np.nan)])
+def test_a_transform_to_nowhere_is_refused(origin, scale):
+    book = ObstacleTracker([], ['base'], transform=lambda frame: (origin, scale * np.eye(3)))
+    assert 'takes finite numbers' in tell(book, 0.0, marker(at=(0.1, 0.0, 0.0), frame='far'))[0]
+    assert not book.scene.names
+
+
+@pytest.mark.parametrize(('center', 'semi_axes', 'problem'), [
+    ((1e300, 0.0, 0.0), (0.1, 0.1, 0.1), "obstacle 'wall' is at .* up to 1e.06 m"),
+    ((0.0, 0.0, 0.0), (0.1, 1e-300, 0.1), "obstacle 'wall' has the scale .* from 1e-06"),
+    ((0.0, 0.0, 0.0), (1e9, 1.0, 0.1), "obstacle 'wall' has the scale")])
+def test_the_same_bounds_hold_for_static_obstacles(center, semi_axes, problem):
+    good = Obstacle('wall', np.zeros(3), np.ones(3))
+    book = ObstacleTracker([good], ['base'])
+    with pytest.raises(ObstacleError, match=problem):
+        book.static = [Obstacle('wall', np.array(center), np.array(semi_axes))]
+    assert book.static == (good,) and book.scene.semi_axes[0, 0] == 1.0
+
+
+@pytest.mark.parametrize('gap', [1e-9, 1e-6, 5e-4])
+def test_stamps_next_to_each_other_are_one_measurement(gap):
+    book = ObstacleTracker([], ['base'], estimate_velocity=True)
+    tell(book, 0.0, marker(stamp=10.0))
+    tell(book, 0.1, marker(at=(0.01, 0.0, 0.0), stamp=10.1))
+    tell(book, 0.1, marker(at=(0.0101, 0.0, 0.0), stamp=10.1 + gap))
+    np.testing.assert_allclose(book.scene.velocities[0], [0.1, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_array_equal(book.scene.centers[0], [0.0101, 0.0, 0.0])
+
+
+def test_a_clock_that_was_set_back_does_not_freeze_a_velocity():
+    book = ObstacleTracker([], ['base'], estimate_velocity=True)
+    tell(book, 0.0, marker(stamp=1e9))
+    tell(book, 0.1, marker(at=(0.01, 0.0, 0.0), stamp=1e9 + 0.1))
+    assert book.scene.velocities[0, 0] > 0.09
+    tell(book, 0.2, marker(at=(0.02, 0.0, 0.0), stamp=5.0))
+    np.testing.assert_array_equal(book.scene.velocities, 0.0)
+    tell(book, 0.3, marker(at=(0.02, 0.01, 0.0), stamp=5.1))
+    np.testing.assert_allclose(book.scene.velocities[0], [0.0, 0.1, 0.0], atol=1e-9)
+
+
+class Reference:
+    """The rules of the book, one marker after another, nothing remembered but the obstacles."""
+
+    def __init__(self, transform):
+        self.known, self.transform = {}, transform
+
+    def update(self, told, now):
+        """Apply markers; return how many were wrong."""
+        wrong = 0
+        for m in told:
+            key = f'{m.ns}/{m.id}' if m.ns else str(m.id)
+            if m.action == Marker.DELETEALL:
+                self.known.clear()
+            elif m.action == Marker.DELETE:
+                self.known.pop(key, None)
+            elif m.action != Marker.ADD or m.type not in (1, 2, 3) or m.scale.x <= 0.0 or (
+                    m.header.frame_id == 'moon'):
+                wrong += 1
+            else:
+                self.add(key, m, now)
+        return wrong
+
+    def add(self, key, m, now):
+        p, half = m.pose.position, 0.5 * np.array([m.scale.x, m.scale.y, m.scale.z])
+        center = np.array([p.x, p.y, p.z])
+        if m.header.frame_id == 'camera':
+            center = center + self.transform('camera')[0]
+        factor = {1: np.sqrt([3.0, 3.0, 3.0]), 2: np.ones(3), 3: np.sqrt([1.5, 1.5, 3.0])}[m.type]
+        stamp = m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec or now
+        before = self.known.get(key)
+        velocity, last = np.zeros(3), stamp
+        if before is not None:
+            elapsed = stamp - before['stamp']
+            if -0.3 <= elapsed < 1e-3:
+                velocity, last = before['velocity'], before['stamp']
+            elif elapsed > 0.0:
+                velocity = (center - before['center']) / elapsed
+                if np.linalg.norm(velocity) >= 3.0:
+                    velocity = np.zeros(3)
+        life = m.lifetime.sec + 1e-9 * m.lifetime.nanosec
+        self.known[key] = {'center': center, 'axes': half * factor, 'velocity': velocity,
+                           'stamp': last, 'heard': now, 'end': now + life if life else np.inf}
+
+    def expire(self, now):
+        self.known = {key: o for key, o in self.known.items() if o['end'] > now}
+        for o in self.known.values():
+            if now - o['heard'] > 0.3:
+                o['velocity'] = np.zeros(3)
+
+
+ACTIONS = [Marker.ADD] * 8 + [Marker.DELETE, Marker.DELETE, Marker.DELETEALL, 1]
+
+
+@st.composite
+def messages(draw, before):
+    """The message before once more with other numbers, or any other, an empty one included."""
+    kind = draw(st.sampled_from(['same'] * 4 + ['some', 'any', 'any', 'empty']))
+    if kind == 'empty':
+        return []
+    if kind == 'any' or not before:
+        told = [Marker(
+            ns=draw(st.sampled_from(['', 'o', 'name'])), id=draw(st.integers(0, 2)),
+            text=draw(st.sampled_from(['', 'longer']))) for _ in range(draw(st.integers(1, 5)))]
+        odd = draw(st.booleans())
+        for m in told:  # like a detector, or anything
+            m.type = draw(st.sampled_from([1, 2, 2, 3, 4])) if odd else Marker.SPHERE
+            m.action = draw(st.sampled_from(ACTIONS)) if odd else Marker.ADD
+            m.header.frame_id = draw(st.sampled_from(
+                ['base'] * 6 + ['camera', 'moon'])) if odd else 'base'
+        told[0].action = draw(st.sampled_from([Marker.ADD, Marker.DELETEALL]))
+    else:
+        told = before[:draw(st.integers(0, len(before)))] if kind == 'some' else list(before)
+    flaws = [-1.0] if draw(st.integers(0, 5)) == 0 else []
+    lives = draw(st.sampled_from([[0], [0], [0, 5 * 10**8]]))
+    for m in told:
+        p = m.pose.position
+        p.x, p.y, p.z = (draw(st.sampled_from([0.0, 0.01, -0.02, 0.3])) for _ in range(3))
+        m.pose.orientation.w = 1.0
+        m.scale.y = m.scale.z = 0.4
+        m.scale.x = draw(st.sampled_from([0.2, 0.2, *flaws]))
+        m.header.stamp = Time(sec=draw(st.sampled_from([0] * 3 + [1000])),
+                              nanosec=draw(st.sampled_from([0, 1000, 10**8, 2 * 10**8])))
+        m.lifetime.nanosec = draw(st.sampled_from(lives))
+    return told
+
+
+@settings(deadline=None, max_examples=120)
+@given(st.data())
+def test_any_sequence_of_messages_leads_where_its_markers_lead_one_by_one(data):
+    def transform(frame):
+        if frame != 'camera':
+            raise ObstacleError('tf2 knows no way from there')
+        return np.array([1.0, 0.0, 0.0]), np.eye(3)
+
+    book = ObstacleTracker([], ['base'], transform=transform, estimate_velocity=True)
+    reference, told, now = Reference(transform), [], 2.0
+    for _ in range(data.draw(st.integers(2, 8))):
+        now += data.draw(st.sampled_from([0.0, 0.03, 0.2, 0.5]))
+        told = data.draw(messages(told))
+        wrong = reference.update(told, now)
+        assert len(tell(book, now, *told)) == (wrong if wrong <= 3 else 4)
+        if data.draw(st.booleans()):
+            now += 0.02
+            reference.expire(now)
+            book.expire(now)
+        scene, known = book.scene, reference.known
+        assert sorted(scene.names) == sorted(known)
+        for i, name in enumerate(scene.names):
+            np.testing.assert_allclose(scene.centers[i], known[name]['center'], atol=1e-12)
+            np.testing.assert_allclose(scene.semi_axes[i], known[name]['axes'], rtol=1e-12)
+            np.testing.assert_allclose(
+                scene.velocities[i], known[name]['velocity'], rtol=1e-6, atol=1e-12)

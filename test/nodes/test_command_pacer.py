@@ -1,0 +1,64 @@
+"""Commands are due on an even beat, whatever the ticks do."""
+
+from __future__ import annotations
+
+import time
+
+from hypothesis import given, strategies as st
+import numpy as np
+import pytest
+
+from redundant_planner.nodes.command_pacer import CommandPacer
+
+PERIOD = 0.001
+
+
+@given(st.lists(st.floats(0.0, 0.9), min_size=1, max_size=50), st.integers(0, 10**6))
+def test_late_ticks_leave_the_beat_alone(delays, start):
+    """After one that begins on time; and none is asked to wait for longer than its lead."""
+    beat, lead = CommandPacer(PERIOD), 0.35 * PERIOD
+    begins = (start + np.arange(len(delays) + 1)) * PERIOD
+    begins[1:] += np.array(delays) * PERIOD
+    due = np.array([beat.begin(begin) for begin in begins])
+    np.testing.assert_allclose(due, (start + np.arange(len(due))) * PERIOD + lead,
+                               atol=0.01 * PERIOD)
+    assert (due <= begins + lead).all()
+
+
+@given(st.lists(st.integers(1, 5), min_size=1, max_size=30))
+def test_missed_ticks_are_left_out(steps):
+    beat = CommandPacer(PERIOD)
+    first = beat.begin(0.0)
+    counts = np.cumsum(steps)
+    due = [beat.begin(count * PERIOD) for count in counts]
+    np.testing.assert_allclose(due, first + counts * PERIOD, atol=1e-3 * PERIOD)
+
+
+def test_an_earlier_tick_shows_where_the_beat_is():
+    beat = CommandPacer(PERIOD)
+    late = beat.begin(0.5 * PERIOD)
+    on_time = beat.begin(PERIOD)
+    assert on_time - late == pytest.approx(0.5 * PERIOD)
+    assert beat.begin(2.0 * PERIOD) - on_time == pytest.approx(PERIOD)
+
+
+def test_a_beat_that_was_put_too_early_is_found_again():
+    beat = CommandPacer(PERIOD)
+    beat.begin(-1.2 * PERIOD)
+    due = [beat.begin(i * PERIOD) - i * PERIOD for i in range(5000)]
+    assert due[0] == pytest.approx(0.15 * PERIOD, rel=0.01)
+    np.testing.assert_allclose(due[3000:], 0.35 * PERIOD, atol=1e-9)
+
+
+def test_who_is_early_waits_and_who_is_late_does_not():
+    beat = CommandPacer(0.02)
+    beat.wait()
+    assert beat.waited == 0.0
+    due = beat.begin(time.monotonic())
+    beat.wait()
+    assert time.monotonic() >= due
+    assert 0.0 < beat.waited <= 1e-3
+    overdue = CommandPacer(0.02)
+    overdue.begin(time.monotonic() - 1.0)
+    overdue.wait()
+    assert overdue.waited == 0.0

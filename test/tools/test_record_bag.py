@@ -1,0 +1,61 @@
+"""record_bag as a process of its own."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+
+from live_helpers import LIVE, PATIENCE, station
+import numpy as np
+import pytest
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from redundant_planner.io.recording import JointChunk, open_bag
+from redundant_planner.tools.record_bag import main as record_bag
+
+pytestmark = LIVE
+COUNT = 2000
+
+
+@pytest.mark.parametrize('end', [signal.SIGINT, signal.SIGKILL])
+def test_nothing_is_lost_at_a_thousand_hertz_and_a_kill_leaves_it_readable(tmp_path, end):
+    """Numbered messages: all of them are there, or after a kill the first ones."""
+    folder = tmp_path / 'bag'
+    with station() as (ros, processes):
+        numbered = ros.node.create_publisher(JointState, 'joint_command', QoSProfile(depth=1000))
+        ros.wait_for(lambda: numbered.get_subscription_count() == 1, 'the station itself')
+        recorder = subprocess.Popen(
+            [sys.executable, '-m', 'redundant_planner.tools.record_bag', str(folder)],
+            env=processes.environment, stdout=subprocess.PIPE, text=True)
+        try:
+            ros.wait_for(lambda: numbered.get_subscription_count() == 2, 'recorder')
+            begin = time.monotonic()
+            for i in range(COUNT):
+                while time.monotonic() < begin + 0.001 * i:
+                    ros.spin(0.0)
+                numbered.publish(JointState(name=['count'], position=[float(i)]))
+            time.sleep(0.5)
+            recorder.send_signal(end)
+            out, _ = recorder.communicate(timeout=PATIENCE)
+        finally:
+            recorder.kill()
+    with open_bag(folder) as bag:
+        counted = np.concatenate([item.positions[:, 0] for item in bag.read(['joint_command'])
+                                  if isinstance(item, JointChunk)])
+        assert any('was not closed' in p for p in bag.problems) == (end == signal.SIGKILL)
+    np.testing.assert_array_equal(counted, np.arange(len(counted)))
+    if end == signal.SIGINT:
+        assert len(counted) == COUNT and recorder.returncode == 0
+        assert f'{COUNT:8d}  /joint_command' in out
+    else:
+        assert len(counted) > COUNT / 4
+
+
+def test_what_is_there_is_not_overwritten(tmp_path, capfd):
+    assert record_bag([str(tmp_path)]) == 2
+    assert 'exists already' in capfd.readouterr().err
+    assert record_bag(['--repair', str(tmp_path)]) == 2
+    assert 'is not an MCAP bag' in capfd.readouterr().err

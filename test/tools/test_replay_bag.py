@@ -1,0 +1,181 @@
+"""A bag is run again: with its own parameters to the last digit, with others to compare."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from bags import DT, paper_motion, write
+from hypothesis import given, strategies as st
+import numpy as np
+import pytest
+
+from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.core.errors import StateError
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.io.parameter_files import settings_of
+from redundant_planner.io.recorded_tick import RecordedTick, TickKind
+from redundant_planner.io.recording import open_bag, read_recording
+from redundant_planner.tools.replay_bag import (
+    _ticks_of_topics,
+    again,
+    differences,
+    main as replay_bag,
+    otherwise,
+    read_inputs,
+)
+
+
+@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
+def test_a_live_run_with_its_ticks_is_repeated_exactly(paper_runs, tmp_path, method, capfd):
+    """Topics, ages, obstacles, preview: every input of every tick is in the bag."""
+    bag = paper_runs[method]
+    with open_bag(bag) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert inputs.notes == [] and len(inputs.ticks) > 500
+    parameters = settings_of(PlannerParameters, inputs.values)
+    assert parameters.method == method
+    replay = again(inputs, parameters)
+    assert np.abs(replay.velocities).max() > 0.01
+    found = differences(inputs, replay)
+    assert len(found) > 500 and found.max() < 1e-9
+    assert replay_bag([str(bag), '--out', str(tmp_path / 'again')]) == 0
+    assert 'largest difference 0' in capfd.readouterr().out
+
+
+def test_ticks_made_up_take_a_preview_from_its_stamp_on(paper_runs):
+    """Which lies a second after its announcement."""
+    with open_bag(paper_runs['variational']) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    recorded, made_up = ([time - tick.preview_elapsed for time, tick in ticks
+                          if tick.preview_elapsed > 0.0]
+                         for ticks in (inputs.ticks, _ticks_of_topics(inputs)))
+    arrival, begin, _ = inputs.previews[0]
+    assert begin > arrival + 0.5
+    np.testing.assert_allclose(made_up, np.median(recorded), atol=0.02)
+
+
+def test_without_ticks_the_motion_is_simulated_from_the_first_state(tmp_path):
+    robot, parameters, motion = paper_motion()
+    path = write(tmp_path / 'run', robot, parameters, motion)
+    with open_bag(path) as opened:
+        replay = otherwise(read_inputs(opened, None, '', ''), parameters)
+    count = len(replay.velocities)
+    assert count == pytest.approx(len(motion.velocities), abs=2)
+    np.testing.assert_allclose(replay.positions, motion.positions[:count], atol=1e-9)
+
+
+def test_another_method_makes_another_bag_that_can_be_compared(tmp_path, capsys):
+    path = write(tmp_path / 'run', *paper_motion())
+    assert replay_bag([str(path), '--method', 'gradient_projection']) == 0
+    assert "'gradient_projection' from the first joint state on" in capsys.readouterr().out
+    other = analyse(tmp_path / 'run_replay')
+    base = analyse(path)
+    assert other.robot is not None and other.joint_names == base.joint_names
+    assert other.clearance is not None and other.clearance.level > 0.0
+    assert np.nanmax(other.curves.path_error) < 1e-3
+    assert not np.allclose(other.joints.path, base.joints.path, atol=1e-4)
+    assert other.periods.median == pytest.approx(DT, abs=1e-6)
+    # The new bag says what it was made with, and is a recording like any other.
+    with open_bag(tmp_path / 'run_replay') as opened:
+        values = read_inputs(opened, None, '', '').values
+    assert values['method'] == 'gradient_projection'
+    assert len(read_recording(tmp_path / 'run_replay').twists) > 10
+
+
+def test_a_parameter_file_changes_some(tmp_path):
+    path = write(tmp_path / 'run', *paper_motion(0.2))
+    file = tmp_path / 'slow.yaml'
+    file.write_text('/**: {ros__parameters: {linear_speed_max: 0.01}}')
+    assert replay_bag([str(path), '--params', str(file), '--out', str(tmp_path / 'slow')]) == 0
+    slow, fast = analyse(tmp_path / 'slow'), analyse(path)
+    assert slow.joints.path.sum() < 0.5 * fast.joints.path.sum()
+
+
+def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path, capsys):
+    path = write(tmp_path / 'run', *paper_motion(0.1))
+    bare = write(tmp_path / 'bare', *paper_motion(0.1), ('joint_states',))
+    stateless = write(tmp_path / 'stateless', *paper_motion(0.1), (
+        'joint_command', 'planner_node/configuration'))
+    short = write(tmp_path / 'short', *paper_motion(DT))
+    (tmp_path / 'bad.yaml').write_text('/**: {ros__parameters: {k_alpha: much}}')
+    for arguments, message in (
+            ([bare], 'no robot'), ([short], 'too short'),
+            ([stateless], 'no messages on joint_states'),
+            ([tmp_path / 'gone'], 'no such file'), ([path, '--out', path], 'exists already'),
+            ([path, '--out', tmp_path / 'bad.yaml' / 'out'], 'bad.yaml'),
+            ([path, '--params', tmp_path / 'no.yaml'], 'is not a file'),
+            ([path, '--params', tmp_path / 'bad.yaml'], "'k_alpha' is 'much'")):
+        assert replay_bag([str(a) for a in arguments]) == 2
+        error = capsys.readouterr().err
+        assert message in error and 'Traceback' not in error, error
+
+
+@pytest.mark.parametrize('pause', [3600.0, 10 * 365 * 86400.0])
+def test_a_pause_parts_a_replay(tmp_path, pause):
+    """Each part begins at its own first joint state, at rest, and lasts as long as it did."""
+    robot, parameters, motion = paper_motion(0.2)
+    whole = write(tmp_path / 'whole', robot, parameters, motion)
+    later = replace(motion, times=motion.times + pause)
+    path = write(tmp_path / 'parts', robot, parameters, motion, more=[later])
+    with open_bag(whole) as opened:
+        one = otherwise(read_inputs(opened, None, '', ''), parameters)
+    with open_bag(path) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert any('pauses 1 times' in note for note in inputs.notes)
+    both = otherwise(inputs, parameters)
+    count = len(one.times)
+    assert len(both.times) == 2 * count
+    for part in (slice(0, count), slice(count, None)):
+        np.testing.assert_allclose(both.velocities[part], one.velocities, atol=1e-6)
+    assert both.times[count] == pytest.approx(pause, abs=1.0)
+
+
+def test_states_that_the_node_skips_are_skipped(tmp_path):
+    robot, parameters, motion = paper_motion(0.2)
+    motion.positions[7] = np.nan
+    motion.positions[9, 2] = 1e308
+    path = write(tmp_path / 'run', robot, parameters, motion)
+    with open_bag(path) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert any(note.startswith('2 messages on joint_states are left') for note in inputs.notes)
+    assert np.isfinite(otherwise(inputs, parameters).velocities).all()
+
+
+def test_ticks_that_are_none_are_left_out(tmp_path):
+    robot, parameters, motion = paper_motion(0.2)
+    sound = [RecordedTick(i, motion.times[i], TickKind.GOING_ON if i else TickKind.STARTING, 0, 0,
+                          np.nan, np.zeros(6), motion.positions[i]).numbers() for i in range(9)]
+    sound[3] = sound[3][:-1]  # of another robot
+    sound[5][2] = np.nan
+    sound[6][4] = 1e300
+    path = write(tmp_path / 'run', robot, parameters, motion, ticks=sound)
+    with open_bag(path) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert len(inputs.ticks) == 6
+    assert sum('messages on ticks are left out' in note for note in inputs.notes) == 2
+    assert np.isfinite(again(inputs, parameters).velocities).all()
+
+
+@given(numbers=st.lists(st.floats() | st.sampled_from([0.0, 1.0, 2.0]), max_size=20))
+def test_whatever_numbers_a_tick_has_it_is_sound_or_refused(numbers):
+    try:
+        tick = RecordedTick.of(numbers)
+    except StateError as error:
+        assert 'recorded tick' in str(error)
+    else:
+        assert np.isfinite([tick.stamp_ns, tick.time, *tick.twist, *tick.q]).all()
+        assert min(tick.stamp_ns, tick.obstacle_messages, tick.preview_messages) >= 0
+
+
+def test_a_recorded_tick_survives_the_way_there_and_back_and_nonsense_is_refused():
+    tick = RecordedTick(1_795_276_822_763_012_348, 12.5, TickKind.STARTING, 3, 1, np.nan,
+                        np.arange(6.0), np.arange(7.0))
+    numbers = tick.numbers()
+    again_ = RecordedTick.of(numbers)
+    assert again_[:5] == tick[:5] and np.isnan(again_.preview_elapsed)
+    np.testing.assert_array_equal(again_.q, tick.q)
+    with pytest.raises(StateError, match='has 5 numbers'):
+        RecordedTick.of(numbers[:5])
+    numbers[3] = 9.0
+    with pytest.raises(StateError, match='of kind 9'):
+        RecordedTick.of(numbers)
