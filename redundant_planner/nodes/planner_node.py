@@ -26,7 +26,7 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.safety.safety_filter import braked
+from redundant_planner.core.safety.limits import braked
 from redundant_planner.core.safety.stopping import has_jumped, PositionCommand
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.obstacle_tracker import checked, ObstacleTracker
@@ -66,6 +66,7 @@ from redundant_planner.nodes.ros_parameters import (
 )
 from redundant_planner.nodes.state_report import diagnostics, LoopState, RobotMarkers, status_of
 from redundant_planner.nodes.transforms import transform_lookup
+from redundant_planner.paper.method import PaperPlanner, planner_of
 
 Array = npt.NDArray[np.float64]
 
@@ -85,6 +86,11 @@ _OBSTACLE_SHARE = 0.1
 _OBSTACLE_MESSAGES = 100
 # How long changed parameters wait for others to be published with [s].
 _CONFIGURATION_PAUSE = 0.25
+# Period of /diagnostics and of ~/markers [s].
+_REPORT_PERIOD = 0.2
+# Positions that jump by more than this beyond what the arm can travel, or that are further than
+# this from what was commanded, start everything again from the measured posture [rad, m].
+_JUMP = 0.1
 
 
 class PlannerNode(runtime.EndableNode):
@@ -127,7 +133,7 @@ class PlannerNode(runtime.EndableNode):
             clock = self._loop_clock = self.get_clock()
             self._now = lambda: float(clock.now().nanoseconds / NANOSECONDS)
             self._stamp = lambda: int(clock.now().nanoseconds)
-        self._planner: Planner | None = None
+        self._planner: Planner | PaperPlanner | None = None
         self._state = LoopState()
         self._q: Array | None = None
         self._q_time = -np.inf
@@ -204,9 +210,9 @@ class PlannerNode(runtime.EndableNode):
         robot = build_robot(
             self._robot_parameters, urdf, self._capsules, say=self.get_logger().info,
             warn=self.get_logger().warning)
-        self._planner = Planner(robot, self._planner_parameters)
+        self._planner = planner_of(robot, self._planner_parameters)
         self._position_command = PositionCommand(
-            robot.position_min, robot.position_max, self._settings.position_tolerance)
+            robot.position_min, robot.position_max, _JUMP)
         self._obstacles = ObstacleTracker(
             static, sorted({robot.base_frame, ''}),
             transform=transform_lookup(self, robot.base_frame),
@@ -276,14 +282,11 @@ class PlannerNode(runtime.EndableNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._markers = self.create_publisher(MarkerArray, '~/markers', 1)
         self._robot_markers = RobotMarkers(self.robot)
-        settings = self._settings
         self._chores: list[tuple[float, Callable[[], None]]] = [
             (_LOOK_AROUND, self._look_around),
-            (_CONFIGURATION_PAUSE, self._publish_configuration)]
-        if settings.diagnostics_rate > 0.0:
-            self._chores.append((1.0 / settings.diagnostics_rate, self._publish_diagnostics))
-        if settings.marker_rate > 0.0:
-            self._chores.append((1.0 / settings.marker_rate, self._publish_markers))
+            (_CONFIGURATION_PAUSE, self._publish_configuration),
+            (_REPORT_PERIOD, self._publish_diagnostics),
+            (_REPORT_PERIOD, self._publish_markers)]
         self._due = [0.0] * len(self._chores)
 
     @property
@@ -333,7 +336,7 @@ class PlannerNode(runtime.EndableNode):
             self._ready, self._found = now + _FIRST_LOOK, q
         elif has_jumped(
                 self._q, q, self.robot.velocity_max, now - self._q_time,
-                self._settings.position_tolerance):
+                _JUMP):
             self._restart = 'joint_states jumped: the motion starts again from where the arm is'
         self._q, self._q_time = q, now
 
@@ -422,7 +425,7 @@ class PlannerNode(runtime.EndableNode):
     def _start_anew(self) -> None:
         """Forget all about the motion, be it what broke the loop: a reset, at rest."""
         self._reset_asked = False
-        self._planner = Planner(self.robot, self._planner_parameters)
+        self._planner = planner_of(self.robot, self._planner_parameters)
         self._position_command.reset()
         self._command.forget()
         self._command.forget_preview()

@@ -128,12 +128,12 @@ def test_a_crowd_of_requests_does_not_come_between_two_commands(bench):
     ros.wait_for(lambda: times, 'times')
     # Of requests that wait, the middleware keeps ten: ten requests with thirty changes each.
     requests = [SetParameters.Request(parameters=[
-        Parameter('k_alpha', value=0.8 + 1e-4 * (30 * i + j)).to_parameter_msg()
+        Parameter('criteria.k_alpha', value=0.8 + 1e-4 * (30 * i + j)).to_parameter_msg()
         for j in range(30)]) for i in range(10)]
     answers = [client.call_async(request) for request in requests]
     ros.drive_until(bench.forward, lambda: all(a.done() for a in answers), 'answers')
     ros.drive_until(
-        bench.forward, lambda: said and 'k_alpha: 0.8299' in said[-1], 'the last change')
+        bench.forward, lambda: said and 'criteria.k_alpha: 0.8299' in said[-1], 'the last change')
     assert all(r.successful for a in answers for r in a.result().results)
     times.clear()
     bench.break_at('nothing')

@@ -145,7 +145,7 @@ def test_parameters_of_the_wrong_type(bench):
                          double_array_value=[np.inf, 1e308, 0.0])
     tries = [('static_obstacle.wall.center', string), ('static_obstacle.wall.center', strings),
              ('static_obstacle.my.wall.center', numbers), ('static_obstacle.wall.center', far),
-             ('k_w', strings)]
+             ('criteria.k_w', strings)]
     futures = []
 
     def attack():

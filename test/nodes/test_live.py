@@ -235,12 +235,14 @@ def test_parameters_change_while_running_or_are_refused_with_the_reason():
         processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
         planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
         ros.wait_for(lambda: ros.commands, 'start')
-        assert set_parameter(ros, 'linear_speed_max', 0.01).successful
-        assert set_parameter(ros, 'k_alpha', 1).successful
+        assert set_parameter(ros, 'limits.linear_speed', 0.01).successful
+        assert set_parameter(ros, 'criteria.k_alpha', 1).successful
         for name, value, reason in (
-                ('k_alpha', -1.0, 'out of range'), ('k_alpha', 'much', 'must be a number'),
+                ('criteria.k_alpha', -1.0, 'out of range'),
+                ('criteria.k_alpha', 'much', 'must be a number'),
                 ('method', 'magic', 'it must be one of'), ('rate', 100, 'rate'),
-                ('tip_frame', 'nose', 'tip_frame'), ('position_margin', 0.45, "joint 'd1'")):
+                ('tip_frame', 'nose', 'tip_frame'),
+                ('limits.position_margin', 0.45, "joint 'd1'")):
             result = set_parameter(ros, name, value)
             assert not result.successful and reason in result.reason, (name, result.reason)
         robot, fast = make_paper_arm(), np.array([0.0, -0.1, 0, 0, 0, 0])
