@@ -17,10 +17,11 @@ from redundant_planner.io.node_parameters import PlayerParameters
 from redundant_planner.io.resources import resolve
 from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes import messages, runtime
+from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
 
 
-class ScenarioPlayer(runtime.EndableNode):
+class ScenarioPlayer(EndableNode):
     """Plays one scenario once the planner listens and commands the arm."""
 
     def __init__(self) -> None:
