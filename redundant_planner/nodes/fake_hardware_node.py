@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 
 class FakeHardwareNode(EndableNode):
-    """Stands in for an arm: obeys velocities within the URDF's limits, and echoes its state."""
+    """Stands in for an arm: obeys velocities within the URDF's limits and publishes its state."""
 
     def __init__(self) -> None:
         """Read the URDF and stand at the start posture.

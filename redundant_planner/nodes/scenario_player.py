@@ -56,7 +56,7 @@ class ScenarioPlayer(EndableNode):
 
     def _tick(self) -> None:
         if self.guard.count:
-            # Without cmd_vel the planner stops; to go on would be another scenario.
+            # The planner stops without cmd_vel; going on would play another scenario.
             self.get_logger().error(f'the scenario ends here: {self.guard.last}')
             self.status = 1
             self.end()

@@ -47,7 +47,7 @@ class Startup:
         self._capsules = capsules
         self._warn = warn
         self._start = start
-        self._subscriptions: list[Subscription] = []
+        self._listening: list[Subscription] = []
         self._started = False
         self._urdf = ''
         # Joints that are locked where they are found → position [rad, m].
@@ -68,19 +68,19 @@ class Startup:
             self._on_urdf(urdf)
             return
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._subscriptions.append(self._node.create_subscription(
+        self._listening.append(self._node.create_subscription(
             String, 'robot_description', self._on_description, latched))
         self._node.get_logger().info('waiting for a URDF on the topic robot_description')
 
     def listen_for_commands(self, heard: Callable[[bytes], None]) -> None:
         """Call `heard` for each joint_command until `close`: this node is silent so far."""
-        self._subscriptions.append(self._node.create_subscription(
+        self._listening.append(self._node.create_subscription(
             JointState, 'joint_command', heard, qos_profile_sensor_data, raw=True))
 
     def close(self) -> None:
         """Drop all subscriptions."""
-        while self._subscriptions:
-            self._node.destroy_subscription(self._subscriptions.pop())
+        while self._listening:
+            self._node.destroy_subscription(self._listening.pop())
 
     def _on_description(self, message: String) -> None:
         """Take a URDF from the topic; a bad one leaves the node waiting for a better one."""
@@ -98,7 +98,7 @@ class Startup:
             self._build(urdf)
             return
         self._urdf = urdf
-        self._subscriptions.append(self._node.create_subscription(
+        self._listening.append(self._node.create_subscription(
             JointState, 'joint_states', self._on_joint_states, qos_profile_sensor_data))
 
     def _on_joint_states(self, message: JointState) -> None:
