@@ -21,7 +21,7 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_of
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.obstacle_tracker import checked
+from redundant_planner.io.obstacle_bounds import checked
 from redundant_planner.io.parameter_files import obstacle_of, RobotParameters
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot

@@ -32,6 +32,7 @@ from redundant_planner.io.node_parameters import (
 )
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.renamed_parameters import what_became_of
+from redundant_planner.nodes.rclpy_internals import given_parameters
 
 Settings = TypeVar('Settings')
 
@@ -236,7 +237,10 @@ def unknown_parameters(node: Node) -> list[str]:
                       for key in sizes}
         else:
             not_mine.append(f'{prefix}.')
-    given = node._parameter_overrides  # rclpy has no public name for it
+    given = given_parameters(node)
+    if given is None:
+        return ['this rclpy does not tell which parameters were given: a misspelt one stays '
+                'unnoticed']
     given = [name for name in given if not name.startswith(tuple(not_mine))]
     return [*filter(None, map(what_became_of, given)),
             *unknown_names((name for name in given if not what_became_of(name)), names)]
