@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.horizon.path_qp import Horizon, middles, node_times, poses_ahead
-from redundant_planner.core.horizon.preview import continued, TwistAhead
+from redundant_planner.core.horizon.preview import continued, Preview, TwistAhead
 from redundant_planner.core.kernels import (
     compiled,
     Fields,
@@ -362,7 +362,8 @@ class Planner:
                 self._surroundings(scene, *self._last)
 
     def step(
-        self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
+        self, q: Array, twist: Array, scene: Scene, dt: float,
+        ahead: Preview | TwistAhead | None = None,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`.
 
@@ -372,9 +373,10 @@ class Planner:
                 that are not controlled do not count.
             scene: the obstacles. Pass the same object while nothing changes.
             dt: time until the next tick [s].
-            ahead: what will be commanded, times from now (N + 1,) [s] → mean twists (N, 6) from
-                each to the next, for the joint path ahead; None if only the present command
-                is known, which is then held.
+            ahead: what will be commanded, for the joint path ahead: a preview that starts now
+                (`Preview.ahead` for one that started earlier), or a function of times from now
+                (N + 1,) [s] that returns the mean twists (N, 6) from each to the next. Without
+                it the planner takes the present command as held.
 
         Raises:
             StateError: `q` or `twist` does not fit the robot, or `dt` is not positive.
@@ -384,6 +386,9 @@ class Planner:
         arm = robot.kinematics(q)
         pose = Pose(arm.tip_position, arm.tip_rotation)
         reference = pose if self._reference is None else self._reference
+
+        if isinstance(ahead, Preview):
+            ahead = ahead.between
 
         # What there is to evade, and the way around it.
         self.prepare(scene)

@@ -283,7 +283,7 @@ def test_a_joint_that_mimics_another_stands_with_it():
         '<joint name="follow" type="prismatic"><parent link="tip"/><child link="b"/>'
         '<axis xyz="1 0 0"/><limit lower="-9" upper="9" velocity="1" effort="1"/>'
         '<mimic joint="lead" multiplier="2" offset="0.1"/></joint></robot>'))
-    robot = Robot(urdf, 'tip', locked_positions={'lead': 0.3}, axes=('vx', 'vy'))
+    robot = Robot(urdf, 'tip', locked_positions={'lead': 0.3}, axes=('vx', 'vy'), capsules=[])
     along = robot.in_link('tip', 'b', np.zeros((1, 3)))[0]
     np.testing.assert_allclose(along, [0.7, 0.0, 0.0], atol=1e-12)
     with pytest.raises(RobotError, match=r"joint 'follow' .* mimics 'lead'"):
