@@ -50,7 +50,8 @@ class Robot(model.Robot):
         joint_names: the n joints of the chain, base first.
         axes: the m controlled axes, out of vx, vy, vz, wx, wy, wz.
         command_frame: 'base' or 'tool', the axes in which a twist is expressed.
-        position_min, position_max: (n,) [rad, m], infinite for continuous joints.
+        position_min: (n,) [rad, m], infinite for continuous joints.
+        position_max: (n,) [rad, m], likewise.
         velocity_max: (n,) [rad/s, m/s].
         acceleration_max: (n,) [rad/s², m/s²].
         capsules: the link shapes.
@@ -80,7 +81,7 @@ class Robot(model.Robot):
             base_frame: the link that twists, obstacles and poses refer to; empty for the root.
             locked_positions: joint name → position at which it is held [rad, m]. Other joints
                 outside the chain are held at 0, or at the limit nearest to it.
-            axes: the controlled axes; the null space keeps the others.
+            axes: the controlled axes; the null space may use the others.
             command_frame: 'base' or 'tool', the axes in which a twist is expressed.
             velocity_max: replaces the URDF's limits, one value or n [rad/s, m/s].
             acceleration_max: one value or n [rad/s², m/s²]; a URDF has none. Ask the maker.
