@@ -98,7 +98,7 @@ def test_what_is_missing_is_named(tmp_path):
     with pytest.raises(RobotError, match=r"mesh of link 'link2': 'gone.stl' is not a file"):
         collision_pieces(gone, tmp_path)
     bare = Robot(planar_urdf(), 'tip', capsules=[], axes=('vx', 'vy'))
-    with pytest.raises(RobotError, match=r"give a link_radius \(in a file with 'link_shapes: straight'"):
+    with pytest.raises(RobotError, match=r"link_radius \(in a file with 'link_shapes: straight'"):
         collision_pieces(bare, None)
 
 
