@@ -16,10 +16,10 @@ from benchmark.optimum import Optimum
 from benchmark.scenarios import DT, make_robot
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.figures import joint_curves
-from redundant_planner.core.horizon.path_qp import middles
+from redundant_planner.core.horizon.poses_ahead import middles
 from redundant_planner.core.horizon.preview import TwistAhead
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.horizon.preview import TwistAhead
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.planner import Planner, StepResult
 
 Array = npt.NDArray[np.float64]

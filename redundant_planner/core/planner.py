@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.horizon.path_qp import Horizon, middles, node_times, poses_ahead
+from redundant_planner.core.horizon.horizon import Horizon
+from redundant_planner.core.horizon.least_norm_path import PathJoints
+from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
 from redundant_planner.core.horizon.preview import continued, TwistAhead
 from redundant_planner.core.kernels import (
     compiled,
@@ -28,23 +30,22 @@ from redundant_planner.core.kernels import (
 )
 from redundant_planner.core.obstacles.clearance import (
     clearance_gradients,
-    inflated_ellipsoids,
-    InflatedEllipsoids,
     link_clearance,
-    near_pairs,
-    NearPairs,
     pseudo_distance,
-    Scene,
 )
 from redundant_planner.core.obstacles.evasion import Evasion, NO_TURN, Turn
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids, InflatedEllipsoids
+from redundant_planner.core.obstacles.near_pairs import near_pairs, NearPairs
 from redundant_planner.core.obstacles.nearby import everything, FEW, Surroundings, surroundings
-from redundant_planner.core.obstacles.self_collision import near_links, NearLinks
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.self_collision import near_links, NearLinks, SelfPairs
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy import criteria, null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.jacobian import derivative_between, jdot_qdot
-from redundant_planner.core.robot.model import Kinematics, Robot
+from redundant_planner.core.robot.kinematics import Kinematics, Links
+from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety import safety_filter as safety
 
@@ -314,8 +315,8 @@ class Planner:
         self._settings = tuple(float(getattr(parameters, name)) for name in _Settings._fields)
         self._forget_links()
         self._horizons = tuple(
-            Horizon(robot, node_times(duration, parameters.horizon_nodes), self._scaling,
-                    robot.position_min + margin, robot.position_max - margin)
+            Horizon(robot, node_times(duration, parameters.horizon_nodes), PathJoints(
+                self._scaling, robot.position_min + margin, robot.position_max - margin))
             for duration in (parameters.horizon, parameters.horizon_held))
         self._forget_path()
         self._evasion = Evasion(robot, parameters)
@@ -533,10 +534,10 @@ class Planner:
             self._around = everything(scene, radii, p.obstacle_lead, arm.q)
             return self._around
         reach = _reach(self._previous, self._fastest, self._arm, self._settings, dt)
-        if around is None or not around.hold(scene, arm.q, self.robot.levers, reach):
+        if around is None or not around.hold(
+                scene, arm.q, self.robot.lever_arm_bounds, reach):
             self._around = around = surroundings(
-                scene, radii, p.obstacle_lead, arm.segment_start, arm.segment_end, arm.q, reach,
-                p.evasion_horizon)
+                scene, radii, p.obstacle_lead, arm, reach, p.evasion_horizon)
         return around
 
     def _clearance_over_joints(
@@ -549,13 +550,12 @@ class Planner:
         points = robot.joint_points(arm.q)
         maps = inflated_ellipsoids(scene, np.zeros(len(points)))
         pairs = link_clearance(maps, points, points)
-        every = np.isfinite(pairs.clearance).nonzero()
-        gradient, _ = clearance_gradients(
-            maps, pairs, every, points, points, arm.columns,
-            moves=np.tril(np.ones((len(points), robot.n))))
+        every = np.isfinite(pairs.normalized_distance).nonzero()
+        gradient, _ = clearance_gradients(maps, pairs, every, Links(
+            points, points, arm.joint_screws, np.tril(np.ones((len(points), robot.n)))))
         return criteria.clearance_index(
-            pairs.clearance.ravel(), pairs.distance.ravel(), gradient, p.clearance_smoothing,
-            p.influence_distance)
+            pairs.normalized_distance.ravel(), pairs.distance.ravel(), gradient,
+            p.clearance_smoothing, p.influence_distance)
 
     def _filtered(
         self, desired: _Desired, arm: Kinematics, dt: float,
@@ -624,12 +624,12 @@ def _constants(
 ) -> _Arm:
     # Only the joints between two links bring these nearer to each other.
     pairs = robot.self_pairs if self_margin > -1.0 else robot.self_pairs[:0]
-    moves = robot.moves[pairs[:, 0]] - robot.moves[pairs[:, 1]]
+    moves = robot.supports[pairs[:, 0]] - robot.supports[pairs[:, 1]]
     return _Arm(
         np.array(robot.position_min), np.array(robot.position_max),
         np.array(robot.velocity_max), np.array(robot.acceleration_max), scaling,
-        np.array(robot.levers), np.array(robot.moves), radii + self_margin / 2.0,
-        np.array(pairs), moves, np.abs(moves) * robot.levers[pairs].max(axis=1),
+        np.array(robot.lever_arm_bounds), np.array(robot.supports), radii + self_margin / 2.0,
+        np.array(pairs), moves, np.abs(moves) * robot.lever_arm_bounds[pairs].max(axis=1),
         np.array(robot.rows), robot.in_tool, limits.positions, limits.margin)
 
 
@@ -803,11 +803,11 @@ def _blocked(
     """
     if look_ahead == 0.0:
         return False
-    for i in range(len(near.clearance)):
+    for i in range(len(near.normalized_distance)):
         rate = near.rate[i]
         for j in range(len(motion)):
             rate += near.gradient[i, j] * motion[j]
-        if near.clearance[i] + look_ahead * rate < 0.0:
+        if near.normalized_distance[i] + look_ahead * rate < 0.0:
             return True
     for j in range(len(motion)):
         if not positions[1, j] <= q[j] + look_ahead * motion[j] <= positions[0, j]:
@@ -840,7 +840,8 @@ def _total_gradient(
         _, manipulability = criteria.manipulability_index(parts, changes)
         manipulability = criteria.fade(nearness) * manipulability
     return criteria.total_gradient(
-        clearance, joint_limit, shortest_path, manipulability, p.k_w, p.k_s, p.k_f, p.k_m)
+        clearance, joint_limit, shortest_path, manipulability,
+        criteria.IndexWeights(p.k_w, p.k_s, p.k_f, p.k_m))
 
 
 @kernel
@@ -873,7 +874,7 @@ def _barriers(
     for i in range(acting):
         at = near.acting[i]
         gradient[i] = near.gradient[at]
-        drifts[i], reserves[i] = near.rate[at], near.clearance[at]
+        drifts[i], reserves[i] = near.rate[at], near.normalized_distance[at]
         link, obstacle = near.links[at], near.obstacles[at]
         spare[i] = p.obstacle_lead * maps.speeds[obstacle] / maps.smallest[link, obstacle]
         pairs[i, 0], pairs[i, 1] = link, obstacle
@@ -941,18 +942,18 @@ def _desired(
 
     # What the arm may come close to in this tick.
     fastest, speeds, rate = _pace(previous, plain, settings, dt)
+    links = Links(arm.segment_start, arm.segment_end, arm.joint_screws, constants.moves)
     near = near_pairs(
-        maps, arm.segment_start, arm.segment_end, arm.columns, constants.moves, speeds, rate,
-        p.influence_distance, _unseen(arm.q, constants.levers, range_at, ranges))
+        maps, links, speeds, rate, p.influence_distance,
+        _unseen(arm.q, constants.levers, range_at, ranges))
     unseen_share = _unseen_share(near.unseen, speeds, rate)
-    own = near_links(
-        arm.q, arm.segment_start, arm.segment_end, arm.columns, constants.radii,
-        constants.self_pairs, constants.self_moves, constants.self_levers, fastest, rate,
-        known_at, known)
+    self_pairs = SelfPairs(constants.radii, constants.self_pairs, constants.self_moves,
+                           constants.self_levers)
+    own = near_links(arm.q, links, self_pairs, fastest, rate, known_at, known)
 
     # k P∇H, Eqs. 1, 2 and 18.
     level, clearance = criteria.clearance_index(
-        near.clearance, near.distance, near.gradient, p.clearance_smoothing,
+        near.normalized_distance, near.distance, near.gradient, p.clearance_smoothing,
         p.influence_distance)
     if by_joints:
         level, clearance = joint_clearance_index, joint_clearance.copy()
@@ -978,8 +979,8 @@ def _desired(
     # As plain tuples: they are handed back sooner, too.
     return _Desired(
         dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts),
-        barriers[:], task[:], near.nearest_link, near.nearest_obstacle, near.nearest_clearance,
-        near.nearest_distance, admissible,
+        barriers[:], task[:], near.nearest_link, near.nearest_obstacle,
+        near.nearest_normalized_distance, near.nearest_distance, admissible,
         _blocked(near, arm.q, least_norm, constants.positions, p.look_ahead), unseen_share)[:]
 
 

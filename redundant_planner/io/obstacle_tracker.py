@@ -21,8 +21,8 @@ from redundant_planner.core.kernels import (
     Stack,
     Vector,
 )
-from redundant_planner.core.obstacles.clearance import rotations, Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import rotations, Scene
 from redundant_planner.io.marker_reader import (
     ADD,
     CUBE,

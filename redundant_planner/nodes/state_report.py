@@ -13,9 +13,11 @@ import numpy.typing as npt
 import pinocchio as pin
 from visualization_msgs.msg import Marker, MarkerArray
 
-from redundant_planner.core.obstacles.clearance import Scene, surface_point
+from redundant_planner.core.obstacles.clearance import surface_point
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.planner import Nearest, StepResult
-from redundant_planner.core.robot.model import Kinematics, Robot
+from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
 

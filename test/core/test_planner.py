@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.horizon.path_qp import Horizon
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import _Arm, _fastest_sway, _STRAY, _STRAY_ANGLE, Planner
-from redundant_planner.core.robot.model import Capsule
+from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.se3 import integrate, Pose
 from redundant_planner.core.safety.safety_filter import Stage, stopping_time
 
