@@ -8,9 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmark.generator import DURATION, Task
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
-from redundant_planner.core.robot.model import Capsule, Robot
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.robot.capsules import Capsule
+from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -45,7 +48,7 @@ def unavoidable(robot: Robot, task: Task) -> bool:
         for axis in range(_JOINTS))
     middles = ends.mean(axis=(0, 1, 2))
     reaches = np.linalg.norm(ends - middles, axis=-1).max(axis=(0, 1, 2))
-    links = [i for i, moves in enumerate(robot.moves)
+    links = [i for i, moves in enumerate(robot.supports)
              if not moves[_JOINTS:].any() and robot.capsules[i].radius >= slack[i]]
 
     def uncovered(cells: Mask, obstacles: tuple[Obstacle, ...]) -> Mask:
@@ -62,7 +65,7 @@ def unavoidable(robot: Robot, task: Task) -> bool:
             pairs = link_clearance(
                 inflated_ellipsoids(scene, np.zeros(1)), arms.segment_start[chosen, i:i + 1],
                 arms.segment_end[chosen, i:i + 1], np.zeros(len(chosen)))
-            free &= (pairs.clearance >= 0.0).all(axis=(1, 2))
+            free &= (pairs.normalized_distance >= 0.0).all(axis=(1, 2))
         left = np.zeros(len(postures), dtype=bool)
         left[chosen[free]] = True
         return left.reshape(shape)

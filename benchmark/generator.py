@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.model import Robot
@@ -200,7 +202,7 @@ def _clearances(robot: Robot, obstacle: Obstacle, ends: tuple[Array, Array], mar
     radii = np.tile([capsule.radius + margin for capsule in robot.capsules], k)
     maps = inflated_ellipsoids(Scene.of([obstacle]), radii)
     pairs = link_clearance(maps, ends[0].reshape(-1, 3), ends[1].reshape(-1, 3))
-    return pairs.clearance.reshape(k, c)
+    return pairs.normalized_distance.reshape(k, c)
 
 
 def _random_ellipsoid(
@@ -223,7 +225,7 @@ def _static_obstacles(
     ends = _segments(robot, path)
     way_ends = None if way is None else _segments(robot, way)
     # What the last two joints carry goes where the tip's pose takes it.
-    tip = robot.moves[:, robot.n - 2] > 0.0
+    tip = robot.supports[:, robot.n - 2] > 0.0
     links = np.flatnonzero(~tip)
     wanted = int(random.integers(1, 4))
     found: list[Obstacle] = []

@@ -17,8 +17,8 @@ from benchmark.scenarios import DT, make_robot
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.figures import joint_curves
 from redundant_planner.core.horizon.preview import Preview
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot

@@ -33,8 +33,10 @@ from rich.table import Table
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot
@@ -70,7 +72,7 @@ def obstacle_messages(robot: Robot, start: Array, count: int, seed: int = 0) -> 
                         random.uniform(0.02, 0.05, 3))
         pairs = link_clearance(
             inflated_ellipsoids(Scene.of([ball]), radii), arm.segment_start, arm.segment_end)
-        if pairs.clearance.min() > 0.0:
+        if pairs.normalized_distance.min() > 0.0:
             centers.append(ball.center)
     directions = random.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]

@@ -14,8 +14,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, Scene
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot

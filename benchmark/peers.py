@@ -24,7 +24,8 @@ import pinocchio as pin
 
 from benchmark.judge import rotation_to
 from redundant_planner.core.obstacles.obstacle import Obstacle
-from redundant_planner.core.robot.model import Capsule, Robot
+from redundant_planner.core.robot.capsules import Capsule
+from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 
 Array = npt.NDArray[np.float64]

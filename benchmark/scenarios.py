@@ -21,8 +21,8 @@ from rich.table import Table
 from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, path_poses, Task
 from benchmark.judge import Judge, Verdict
-from redundant_planner.core.horizon.path_qp import middles
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.horizon.poses_ahead import middles
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot

@@ -27,13 +27,11 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmark.scenarios import make_robot
-from redundant_planner.core.obstacles.clearance import (
-    inflated_ellipsoids,
-    link_clearance,
-    near_pairs,
-    Scene,
-)
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.near_pairs import near_pairs
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.redundancy import null_space
@@ -72,7 +70,7 @@ def obstacles_around(robot: Robot, start: Array, count: int, where: str) -> list
         batch = [Obstacle(f'o{len(found) + i}', random.uniform(*_EXTENTS[where]),
                           random.uniform(0.02, 0.05, 3)) for i in range(count)]
         clear = link_clearance(inflated_ellipsoids(Scene.of(batch), radii), arm.segment_start,
-                               arm.segment_end).clearance.min(axis=0) > 0.0
+                               arm.segment_end).normalized_distance.min(axis=0) > 0.0
         found += [obstacle for obstacle, free in zip(batch, clear) if free]
     return found[:count]
 
@@ -126,19 +124,18 @@ def sections(
     """Return where a tick's time goes, each part by itself, called from Python [us]."""
     maps = inflated_ellipsoids(Scene.of(obstacles), [c.radius for c in robot.capsules])
     arm, p = robot.kinematics(start), PlannerParameters()
-    speeds = robot.levers @ robot.acceleration_max * _DT  # of the first tick from rest
+    speeds = robot.lever_arm_bounds @ robot.acceleration_max * _DT  # of the first tick from rest
     all_seen = np.full(len(speeds), np.inf)
+    links = robot.links(arm)
     near = near_pairs(
-        maps, arm.segment_start, arm.segment_end, arm.columns, robot.moves, speeds,
-        p.clearance_gain, p.clearance_influence_distance, all_seen)
+        maps, links, speeds, p.clearance_gain, p.clearance_influence_distance, all_seen)
     limits = Limits(np.array((robot.position_max, robot.position_min)),
                     np.array(robot.velocity_max), np.array(robot.acceleration_max), 0.0)
     at_rest, twist = np.zeros(robot.n), robot.task_rows(_TWIST)
     parts = {
         'kinematics': lambda: robot.kinematics(start),
         'clearances and gradients': lambda: near_pairs(
-            maps, arm.segment_start, arm.segment_end, arm.columns, robot.moves, speeds,
-            p.clearance_gain, p.clearance_influence_distance, all_seen),
+            maps, links, speeds, p.clearance_gain, p.clearance_influence_distance, all_seen),
         'decomposition': lambda: null_space.decompose(arm.jacobian),
         'derivative of J': lambda: derivative_between(
             twist, arm.tip_jacobian, start, arm.tip_rotation, robot.in_tool, robot.rows),
@@ -146,7 +143,7 @@ def sections(
         'filter with a QP': lambda: safe_velocity(
             Request(np.linalg.pinv(arm.jacobian) @ twist, arm.jacobian, twist, np.zeros(robot.m),
                     np.zeros(robot.m), start, at_rest),
-            limits, barriers_of(near.gradient, near.rate, near.clearance),
+            limits, barriers_of(near.gradient, near.rate, near.normalized_distance),
             weights=np.ones(robot.n), gain=p.clearance_gain, may_yield=False, dt=_DT),
     }
     return {name: _median(part, ticks) for name, part in parts.items()}

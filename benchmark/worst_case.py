@@ -30,7 +30,7 @@ from rich.table import Table
 from benchmark.scenarios import make_robot
 from benchmark.speed import planner_times, STARTS
 from redundant_planner.core.horizon.preview import Preview
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot

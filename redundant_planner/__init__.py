@@ -25,11 +25,11 @@ if TYPE_CHECKING:
         StateError,
     )
     from redundant_planner.core.horizon.preview import Preview
-    from redundant_planner.core.obstacles.clearance import Scene
     from redundant_planner.core.obstacles.obstacle import Obstacle
+    from redundant_planner.core.obstacles.scene import Scene
     from redundant_planner.core.parameters import PlannerParameters
     from redundant_planner.core.planner import Planner
-    from redundant_planner.core.robot.model import Capsule
+    from redundant_planner.core.robot.capsules import Capsule
     from redundant_planner.core.step_result import StepResult
     from redundant_planner.io.robot_files import Robot
     from redundant_planner.simulation import Motion, simulate

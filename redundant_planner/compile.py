@@ -16,13 +16,13 @@ import time
 # Steps of two lanes each: modules that do not import each other.
 STEPS = (
     (('core.redundancy.null_space', 'core.robot.se3'),
-     ('core.robot.jacobian', 'core.obstacles.clearance')),
-    (('core.redundancy.criteria', 'core.obstacles.self_collision', 'core.robot.model'),
-     ('core.obstacles.nearby', 'core.obstacles.motion_estimate', 'core.safety.limits',
-      'core.safety.stopping')),
+     ('core.robot.jacobian', 'core.robot.kinematics', 'core.obstacles.inflation')),
+    (('core.obstacles.clearance', 'core.obstacles.near_pairs'),
+     ('core.obstacles.self_collision', 'core.redundancy.criteria', 'core.safety.limits',
+      'core.safety.stopping', 'core.obstacles.motion_estimate', 'core.robot.model')),
     (('core.horizon.path_qp', 'core.safety.qp', 'io.obstacle_tracker', 'io.preview_reader'),
-     ('core.obstacles.evasion', 'core.redundancy.reference', 'core.safety.pace',
-      'core.safety.barriers')),
+     ('core.obstacles.evasion', 'core.obstacles.nearby', 'core.redundancy.reference',
+      'core.safety.pace', 'core.safety.barriers')),
     (('core.tick',), ('core.planner',)),
 )
 

@@ -11,7 +11,9 @@ import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon.preview import Preview
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.step_result import StepResult

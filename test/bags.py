@@ -6,7 +6,7 @@ from conftest import make_paper_arm
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray, String
 
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.io.bag_writer import BagWriter

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 
 DT = 0.004
 NOTHING = Scene.of()
@@ -38,5 +40,6 @@ def smallest_level(robot, postures, scene):
     levels = []
     for q in postures:
         arm = robot.kinematics(q)
-        levels.append(link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min())
+        pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
+        levels.append(pairs.normalized_distance.min())
     return min(levels)

@@ -9,10 +9,12 @@ from conftest import make_panda, make_planar, PANDA_READY, random_postures
 import numpy as np
 import pytest
 
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.robot.model import Capsule
+from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -33,7 +35,8 @@ def test_a_seed_gives_the_same_task_and_its_start_is_clear(panda, moving):
         arm = panda.kinematics(task.start)
         maps = inflated_ellipsoids(
             Scene.of(task.obstacles), [c.radius + 0.03 for c in panda.capsules])
-        assert link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min() > 0.0
+        pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
+        assert pairs.normalized_distance.min() > 0.0
         assert any(o.velocity.any() for o in task.obstacles) == moving
         distance = 0.5 * DURATION * np.linalg.norm(task.twist[:3])
         assert distance == 0.0 if moving and not task.twist.any() else 0.1 <= distance <= 0.3
@@ -170,7 +173,8 @@ def test_the_loops_obstacles_leave_the_start_free():
         assert book.update(frame, 0.0) == []
         arm = robot.kinematics(loop._STARTS['panda'])
         maps = inflated_ellipsoids(book.scene, [c.radius for c in robot.capsules])
-        assert link_clearance(maps, arm.segment_start, arm.segment_end).clearance.min() > 0.0
+        pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
+        assert pairs.normalized_distance.min() > 0.0
 
 
 def test_an_arm_does_not_whip_off_its_path():

@@ -9,8 +9,10 @@ from conftest import MAKERS, random_postures
 import numpy as np
 import pytest
 
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
 from redundant_planner.core.robot.se3 import integrate, Pose
 
@@ -54,7 +56,7 @@ def test_they_follow_the_path_and_stop_at_the_obstacle(library):
             now = robot.kinematics(posture)
             maps = inflated_ellipsoids(Scene.of([ball]), [c.radius for c in robot.capsules])
             closest = min(closest, link_clearance(
-                maps, now.segment_start, now.segment_end).clearance.min())
+                maps, now.segment_start, now.segment_end).normalized_distance.min())
         reached = np.linalg.norm(robot.kinematics(posture).tip_position - pose.position)
         if obstacles:
             assert closest > 0.0

@@ -31,7 +31,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectory
 from benchmark.fuzz.tally import Tally
 from redundant_planner.analysis.bag_analysis import analyse, Analysis
 from redundant_planner.analysis.report import page_of, write_figures
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.io.bag_files import repair

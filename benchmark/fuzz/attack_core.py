@@ -12,8 +12,8 @@ import numpy.typing as npt
 from benchmark.fuzz.tally import Tally
 from benchmark.scenarios import make_robot
 from redundant_planner.core.horizon.preview import Preview
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import METHODS, PATH_PRIORITIES, PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot

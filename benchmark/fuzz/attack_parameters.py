@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from benchmark.fuzz.tally import Tally
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_of
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot

@@ -15,13 +15,13 @@ import yaml
 
 from benchmark.fuzz.mutations import NUMBERS, pick, spoilt_bytes, spoilt_numbers
 from benchmark.fuzz.tally import Tally
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.capsule_fit import distances, Shape
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
-from redundant_planner.io.link_shapes import collision_pieces
+from redundant_planner.io.collision_geometry import collision_pieces
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import build_robot, likely_tip
@@ -70,7 +70,7 @@ def attack(random: np.random.Generator, folder: Path, tally: Tally) -> None:
     if robot is None:
         return
     tally.check_finite(
-        robot.velocity_max, robot.acceleration_max, robot.levers,
+        robot.velocity_max, robot.acceleration_max, robot.lever_arm_bounds,
         *(np.array([*c.start, *c.end, c.radius]) for c in robot.capsules))
     if not straight:
         tally.attempt(lambda: _covered(robot, text, folder))

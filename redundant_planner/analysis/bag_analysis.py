@@ -13,14 +13,10 @@ import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
 from redundant_planner.core.errors import PlannerError
-from redundant_planner.core.obstacles.clearance import (
-    inflated_ellipsoids,
-    InflatedEllipsoids,
-    link_clearance,
-    pseudo_distance,
-    Scene,
-)
+from redundant_planner.core.obstacles.clearance import link_clearance, pseudo_distance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids, InflatedEllipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -284,7 +280,8 @@ class _Clearances:
             pairs = link_clearance(maps, arms.segment_start, arms.segment_end)
             # Of an obstacle that is too far away or too large for the numbers: NaN.
             result[begin:begin + step] = np.fmin.reduce(pairs.distance, axis=(1, 2))
-            clearance = np.where(np.isfinite(pairs.clearance), pairs.clearance, np.inf)
+            clearance = np.where(
+                np.isfinite(pairs.normalized_distance), pairs.normalized_distance, np.inf)
             sample, link, obstacle = np.unravel_index(
                 int(clearance.argmin()), clearance.shape)
             level = float(pseudo_distance(clearance[sample, link, obstacle]))

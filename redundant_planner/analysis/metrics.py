@@ -8,13 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles.clearance import (
-    inflated_ellipsoids,
-    link_clearance,
-    pseudo_distance,
-    Scene,
-)
+from redundant_planner.core.obstacles.clearance import link_clearance, pseudo_distance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import integrate, Pose
 
@@ -83,7 +80,7 @@ def smallest_clearance(
             ends = arm.segment_start, arm.segment_end
         else:
             ends = (robot.joint_points(q),) * 2
-        levels = pseudo_distance(link_clearance(maps, *ends).clearance)
+        levels = pseudo_distance(link_clearance(maps, *ends).normalized_distance)
         link, obstacle = divmod(int(levels.argmin()), len(scene.names))
         if levels[link, obstacle] < best.level:
             best = Clearance(float(levels[link, obstacle]), names[link],

@@ -22,10 +22,9 @@ class RobotConstants(NamedTuple):
     Attributes:
         position_min, position_max, velocity_max, acceleration_max: (n,) see `Robot`.
         scaling: (n,) 1 / square root of the joint weights.
-        levers, moves: (c, n) see `Robot`.
-        radii: (c,) of the links, half the self-collision margin included [m].
-        self_pairs: (p, 2) links that can run into each other; none if that is switched off.
-        self_moves, self_levers: (p, n) see `near_links`.
+        lever_arm_bounds, supports: (c, n) see `Robot`.
+        radii, self_pairs, self_supports, self_lever_arm_bounds: the fields of `SelfPairs`; without
+            pairs if self-collision is switched off.
         rows: (m,) the controlled ones of the six axes.
         in_tool: whether J and twists are in tool axes.
     """
@@ -35,12 +34,12 @@ class RobotConstants(NamedTuple):
     velocity_max: Vector
     acceleration_max: Vector
     scaling: Vector
-    levers: Matrix
-    moves: Matrix
+    lever_arm_bounds: Matrix
+    supports: Matrix
     radii: Vector
     self_pairs: IndexPairs
-    self_moves: Matrix
-    self_levers: Matrix
+    self_supports: Matrix
+    self_lever_arm_bounds: Matrix
     rows: Indices
     in_tool: bool
 
@@ -110,14 +109,15 @@ def robot_constants(robot: Robot, parameters: PlannerParameters) -> RobotConstan
     self_margin = parameters.clearance_self_margin
     # Only the joints between two links bring these nearer to each other.
     pairs = robot.self_pairs if self_margin > -1.0 else robot.self_pairs[:0]
-    moves = robot.moves[pairs[:, 0]] - robot.moves[pairs[:, 1]]
+    supports = robot.supports[pairs[:, 0]] - robot.supports[pairs[:, 1]]
     radii = np.array([capsule.radius for capsule in robot.capsules])
     return RobotConstants(
         np.array(robot.position_min), np.array(robot.position_max),
         np.array(robot.velocity_max), np.array(robot.acceleration_max),
-        1.0 / np.sqrt(joint_weights(robot, parameters)), np.array(robot.levers),
-        np.array(robot.moves), radii + self_margin / 2.0, np.array(pairs), moves,
-        np.abs(moves) * robot.levers[pairs].max(axis=1), np.array(robot.rows), robot.in_tool)
+        1.0 / np.sqrt(joint_weights(robot, parameters)), np.array(robot.lever_arm_bounds),
+        np.array(robot.supports), radii + self_margin / 2.0, np.array(pairs), supports,
+        np.abs(supports) * robot.lever_arm_bounds[pairs].max(axis=1), np.array(robot.rows),
+        robot.in_tool)
 
 
 def gains_of(parameters: PlannerParameters) -> Gains:

@@ -16,9 +16,10 @@ from redundant_planner.core.constants import gains_of, joint_weights, limits_of,
 from redundant_planner.core.errors import known, ParameterError, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.kernels import compiled, OutVector, Vector
-from redundant_planner.core.obstacles.clearance import pseudo_distance, Scene
+from redundant_planner.core.obstacles.clearance import pseudo_distance
 from redundant_planner.core.obstacles.evasion import Evasion, NO_TURN, Turn
 from redundant_planner.core.obstacles.nearby import Surroundings
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.redundancy.look_ahead import LookAhead, MOST_OBSTACLES
@@ -274,7 +275,7 @@ class Planner:
         return Nearest(
             self.robot.capsules[desired.nearest_link].name,
             around.scene.names[around.near[obstacle]],
-            pseudo_distance(desired.nearest_clearance), desired.nearest_distance + lead)
+            pseudo_distance(desired.nearest_normalized_distance), desired.nearest_distance + lead)
 
 
 @compiled

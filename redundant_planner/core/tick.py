@@ -13,13 +13,15 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.kernels import entry, kernel, OutVector, Vector
-from redundant_planner.core.obstacles.clearance import InflatedEllipsoids, near_pairs, NearPairs
 from redundant_planner.core.obstacles.evasion import Turn
-from redundant_planner.core.obstacles.self_collision import near_links
+from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.near_pairs import near_pairs, NearPairs
+from redundant_planner.core.obstacles.self_collision import near_links, SelfPairs
 from redundant_planner.core.redundancy import criteria, null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.redundancy.reference import Start, Task, task_of
 from redundant_planner.core.robot.jacobian import derivative_between
+from redundant_planner.core.robot.kinematics import Links
 from redundant_planner.core.safety import barriers as rows
 from redundant_planner.core.safety.barriers import Barriers
 from redundant_planner.core.safety.limits import Limits
@@ -67,7 +69,8 @@ class Wish(NamedTuple):
         least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
         task, barriers: see there.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
-        nearest_link, nearest_obstacle, nearest_clearance, nearest_distance: see `NearPairs`.
+        nearest_link, nearest_obstacle, nearest_normalized_distance, nearest_distance: see
+            `NearPairs`.
         admissible: whether `dq` breaks no limit and no barrier.
         blocked: whether the least-norm motion, gone on with, leads into something.
         unseen_share: of the fastest motion, see `pace.unseen_share`.
@@ -84,7 +87,7 @@ class Wish(NamedTuple):
     intruded: bool
     nearest_link: int
     nearest_obstacle: int
-    nearest_clearance: float
+    nearest_normalized_distance: float
     nearest_distance: float
     admissible: bool
     blocked: bool
@@ -137,8 +140,8 @@ def _total_gradient(
         _, manipulability = criteria.manipulability_index(parts, changes)
         manipulability = criteria.fade(nearness) * manipulability
     return criteria.total_gradient(
-        clearance, joint_limit, shortest_path, manipulability, gains.criteria_k_w,
-        gains.criteria_k_s, gains.criteria_k_f, gains.criteria_k_m)
+        clearance, joint_limit, shortest_path, manipulability, criteria.IndexWeights(
+            gains.criteria_k_w, gains.criteria_k_s, gains.criteria_k_f, gains.criteria_k_m))
 
 
 @kernel
@@ -151,11 +154,11 @@ def _blocked(
     """
     if look_ahead == 0.0:
         return False
-    for i in range(len(near.clearance)):
+    for i in range(len(near.normalized_distance)):
         rate = near.rate[i]
         for j in range(len(motion)):
             rate += near.gradient[i, j] * motion[j]
-        if near.clearance[i] + look_ahead * rate < 0.0:
+        if near.normalized_distance[i] + look_ahead * rate < 0.0:
             return True
     for j in range(len(motion)):
         if not limits.positions[1, j] <= q[j] + look_ahead * motion[j] <= limits.positions[0, j]:
@@ -184,18 +187,18 @@ def wish(
 
     # What the arm may come close to in this tick.
     can = pace(start.previous, constants, gains.clearance_gain, dt)
+    links = Links(arm.segment_start, arm.segment_end, arm.joint_screws, constants.supports)
     near = near_pairs(
-        ellipsoids, arm.segment_start, arm.segment_end, arm.columns, constants.moves,
-        can.link_speeds, can.rate, gains.clearance_influence_distance,
-        unseen_distances(arm.q, constants.levers, world.range_at, world.ranges))
+        ellipsoids, links, can.link_speeds, can.rate, gains.clearance_influence_distance,
+        unseen_distances(arm.q, constants.lever_arm_bounds, world.range_at, world.ranges))
+    self_pairs = SelfPairs(constants.radii, constants.self_pairs, constants.self_supports,
+                           constants.self_lever_arm_bounds)
     own = near_links(
-        arm.q, arm.segment_start, arm.segment_end, arm.columns, constants.radii,
-        constants.self_pairs, constants.self_moves, constants.self_levers, can.fastest, can.rate,
-        memory.known_at, memory.known)
+        arm.q, links, self_pairs, can.fastest, can.rate, memory.known_at, memory.known)
 
     # k P∇H, Eqs. 2 and 18.
     level, clearance = criteria.clearance_index(
-        near.clearance, near.distance, near.gradient, gains.clearance_smoothing,
+        near.normalized_distance, near.distance, near.gradient, gains.clearance_smoothing,
         gains.clearance_influence_distance)
     factor, homogeneous = 1.0, np.zeros(len(scaling))
     if world.guided < 1.0:
@@ -228,6 +231,6 @@ def wish(
             dq, arm.q, start.previous, limits, barriers, gains.clearance_gain, dt))
     return Wish(
         dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts), task,
-        barriers, intruded, near.nearest_link, near.nearest_obstacle, near.nearest_clearance,
-        near.nearest_distance, admissible,
+        barriers, intruded, near.nearest_link, near.nearest_obstacle,
+        near.nearest_normalized_distance, near.nearest_distance, admissible,
         _blocked(near, arm.q, least_norm, limits, gains.horizon_look_ahead), share)

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.kernels import compiled, Indices, Matrix, Vector
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.io.marker_reader import ADD, CUBE, CYLINDER, Markers, SPHERE
 
 Array = npt.NDArray[np.float64]

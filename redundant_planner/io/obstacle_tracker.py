@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from redundant_planner.core.errors import known, ObstacleError, StateError
 from redundant_planner.core.obstacles import motion_estimate
-from redundant_planner.core.obstacles.clearance import rotations, Scene
 from redundant_planner.core.obstacles.motion_estimate import Sightings, Tracks, unseen
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import rotations, Scene
 from redundant_planner.io.marker_reader import (
     ADD,
     CUBE,

@@ -17,10 +17,11 @@ from redundant_planner.core.cache_folder import cache_folder
 from redundant_planner.core.errors import known, ParameterError
 from redundant_planner.core.parameters import AXES, ros_name, spec_of
 from redundant_planner.core.robot import model
-from redundant_planner.core.robot.model import Capsule
+from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.simulated_arm import joint_ranges
 from redundant_planner.core.robot.urdf import Joint, read_urdf
-from redundant_planner.io.link_shapes import capsule_entry, fitted_capsules, links_without_shape
+from redundant_planner.io.collision_geometry import links_without_shape
+from redundant_planner.io.link_shapes import capsule_entry, fitted_capsules
 from redundant_planner.io.parameter_files import (
     check_keys,
     entries_of,

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.nodes.guard import Guard
 

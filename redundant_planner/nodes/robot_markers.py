@@ -11,8 +11,10 @@ import numpy.typing as npt
 import pinocchio as pin
 from visualization_msgs.msg import Marker, MarkerArray
 
-from redundant_planner.core.obstacles.clearance import Scene, surface_point
-from redundant_planner.core.robot.model import Kinematics, Robot
+from redundant_planner.core.obstacles.clearance import surface_point
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.step_result import Nearest
 
 Array = npt.NDArray[np.float64]

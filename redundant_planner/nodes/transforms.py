@@ -9,7 +9,7 @@ from rclpy.node import Node
 from rclpy.time import Time
 
 from redundant_planner.core.errors import ObstacleError
-from redundant_planner.core.obstacles.clearance import rotations
+from redundant_planner.core.obstacles.scene import rotations
 from redundant_planner.io.obstacle_tracker import Transform
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.robot.jacobian import jacobian_derivative
 from redundant_planner.core.robot.model import Robot

@@ -17,17 +17,18 @@ from redundant_planner.core.errors import known, ParameterError, StateError
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.obstacles.clearance import (
     clearance_gradients,
-    inflated_ellipsoids,
     link_clearance,
     pseudo_distance,
-    Scene,
 )
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PAPER_METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.redundancy.criteria import joint_limit_index
 from redundant_planner.core.redundancy.null_space import dynamic_factor
 from redundant_planner.core.robot.jacobian import derivative_times
-from redundant_planner.core.robot.model import Kinematics, Robot
+from redundant_planner.core.robot.kinematics import Kinematics, Links
+from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import integrate, Pose, pose_error
 from redundant_planner.core.safety.stages import Stage
 from redundant_planner.core.step_result import Nearest, StepResult
@@ -137,13 +138,14 @@ class PaperPlanner:
         points = self.robot.joint_points(arm.q)
         ellipsoids = inflated_ellipsoids(scene, np.zeros(len(points)))
         pairs = link_clearance(ellipsoids, points, points)
-        if not pairs.clearance.size:
+        rho = pairs.normalized_distance
+        if not rho.size:
             return math.inf, np.zeros(n)
-        at = np.unravel_index(int(pairs.clearance.argmin()), pairs.clearance.shape)
-        smallest = float(pairs.clearance[at])
+        at = np.unravel_index(int(rho.argmin()), rho.shape)
+        smallest = float(rho[at])
         gradient, _ = clearance_gradients(
-            ellipsoids, pairs, (np.array([at[0]]), np.array([at[1]])), points, points,
-            arm.columns, np.tril(np.ones((len(points), n))))
+            ellipsoids, pairs, (np.array([at[0]]), np.array([at[1]])),
+            Links(points, points, arm.joint_screws, np.tril(np.ones((len(points), n)))))
         return pseudo_distance(smallest), 2.0 * (smallest + 1.0) * gradient[0]  # ∂S/∂ρ = 2 (ρ + 1)
 
     def _shortest_path_gradient(self, arm: Kinematics, x_dot: Array, least_norm: Array) -> Array:
@@ -162,7 +164,7 @@ class PaperPlanner:
         link, obstacle = np.unravel_index(int(pairs.distance.argmin()), pairs.distance.shape)
         return Nearest(
             capsules[link].name, scene.names[obstacle],
-            pseudo_distance(float(pairs.clearance[link, obstacle])),
+            pseudo_distance(float(pairs.normalized_distance[link, obstacle])),
             float(pairs.distance[link, obstacle]))
 
 

@@ -19,7 +19,8 @@ import yaml
 from redundant_planner.analysis.figures import robot_picture
 from redundant_planner.core.errors import PlannerError, RobotError
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.link_shapes import capsule_entry, collision_pieces, Fit, fitted_capsules
+from redundant_planner.io.collision_geometry import collision_pieces
+from redundant_planner.io.link_shapes import capsule_entry, Fit, fitted_capsules
 from redundant_planner.io.parameter_files import (
     read_robot_parameters,
     RobotParameters,

@@ -20,8 +20,8 @@ import pytest
 
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.report import _for_script, page_of
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.io.parameter_files import read_robot_parameters
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import build_robot

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.horizon import path_qp
-from redundant_planner.core.obstacles.clearance import (
-    inflated_ellipsoids,
-    link_clearance,
-    MOST_ACTING,
-    MOST_AHEAD_PAIRS,
-    Scene,
-)
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.near_pairs import MOST_ACTING, MOST_AHEAD_PAIRS
 from redundant_planner.core.obstacles.nearby import MOST_NEAR
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety.qp import MOST_ITERATIONS

@@ -27,8 +27,8 @@ from redundant_planner.core.kernels import (
     seal,
     Vector,
 )
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import LinkPairs
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner

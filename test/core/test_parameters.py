@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.errors import ParameterError
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters, spec_of
 from redundant_planner.core.planner import Planner
 

@@ -10,12 +10,12 @@ import pytest
 
 from redundant_planner.core.constants import robot_constants
 from redundant_planner.core.errors import ParameterError, StateError
-from redundant_planner.core.horizon.path_qp import Horizon
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot.model import Capsule
+from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.se3 import integrate, Pose
 from redundant_planner.core.safety.barriers import fastest_self_motion, STRAY, STRAY_ANGLE
 from redundant_planner.core.safety.limits import stopping_time

@@ -13,7 +13,8 @@ from redundant_planner.core.errors import RobotError
 from redundant_planner.core.robot.capsule_fit import distances, Shape
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io import link_shapes
-from redundant_planner.io.link_shapes import collision_pieces, fitted_capsules
+from redundant_planner.io.collision_geometry import collision_elements, collision_pieces
+from redundant_planner.io.link_shapes import fitted_capsules
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.robot_files import build_robot, likely_tip, load_robot
 from redundant_planner.tools.show_robot import main as show_robot
@@ -212,7 +213,7 @@ def test_a_damaged_cache_is_recognised_and_made_anew(cached, data):
 @pytest.mark.parametrize('content', ['[]', '[{}]', '{}', 'null', '{"joint": 1}'])
 def test_a_whole_cache_that_lacks_links_is_made_anew(cached, content):
     robot, fits, file = cached
-    key = link_shapes._key(robot, link_shapes._elements(robot, None))
+    key = link_shapes._key(robot, collision_elements(robot, None))
     good = file.read_bytes()
     file.write_bytes(link_shapes._seal(key, content.encode()) + b'\n' + content.encode())
     assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)

@@ -7,8 +7,8 @@ import numpy as np
 import pinocchio as pin
 
 from redundant_planner.analysis.metrics import smallest_clearance
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.io.robot_files import load_robot

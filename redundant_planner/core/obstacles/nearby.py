@@ -1,17 +1,17 @@
 """Which of many obstacles can matter for a while; the rest is not looked at.
 
 A link's `distance` from an obstacle is 1-Lipschitz in its points (`clearance.py`), and no
-point of link c moves further than Σ_j lever_cj |Δq_j|. An obstacle that is further from every link
-than a range therefore stays out of that link's reach as long as
+point of link c moves further than Σ_j b_cj |Δq_j|, with the lever arm bounds b. An obstacle that
+is further from every link than a range therefore stays out of that link's reach as long as
 
-    Σ_j lever_cj |q_j − q_j,then| ≤ range_c − reach_c          for every link c.
+    Σ_j b_cj |q_j − q_j,then| ≤ range_c − reach_c          for every link c.
 
 So does an obstacle that moves: its velocity counts in the reach, and a scene whose obstacles have
 been moved is another scene.
 
-Of more obstacles than a tick has time for, those are taken that come into reach first. The range
-is then smaller than the reach: the planner slows down so that no link gets further than that
-(`planner.unseen_share`).
+Where there are more obstacles than a tick has time for, it takes those that come into reach first.
+The range is then smaller than the reach. The planner slows down so that no link moves further than
+that (`planner.unseen_share`).
 """
 
 from __future__ import annotations
@@ -22,12 +22,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Vector
-from redundant_planner.core.obstacles.clearance import (
-    inflated_ellipsoids,
-    InflatedEllipsoids,
-    Scene,
-)
+from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Vector
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids, InflatedEllipsoids
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.robot.kinematics import Kinematics
 
 Array = npt.NDArray[np.float64]
 
@@ -36,10 +34,10 @@ FEW = 20
 # Most obstacles that a tick looks at, and most that the joint path ahead and evasion look at.
 MOST_NEAR = 200
 MOST_AHEAD = 25
-# How much further than needed one looks, so as not to look again soon [m].
-_SLACK = 0.15
-# Motion of a link after which obstacles are chosen anew where they are too many [m].
-_LITTLE = 0.01
+# How much further than needed the search looks, so that its result holds for a while [m].
+_EXTRA_RANGE = 0.15
+# Where there are too many obstacles, they are chosen anew after this motion of a link [m].
+_MOTION_UNTIL_NEXT_CHOICE = 0.01
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -49,9 +47,9 @@ class Surroundings(NamedTuple):
     Attributes:
         scene: all obstacles.
         near: (k,) indices of those that can matter in a tick.
-        maps: theirs.
+        maps: these, inflated.
         nearest: (a,) indices of those that are nearest, or soon can be, for what looks ahead.
-        ahead: their maps.
+        ahead: these, inflated.
         q: (n,) posture at which it was decided.
         range: (c,) distance that all others had from each link [m]; infinite if there are none.
         crowded: whether some are left out that were within reach, for there are too many.
@@ -71,7 +69,7 @@ class Surroundings(NamedTuple):
         """Whether all obstacles are among them."""
         return len(self.near) == len(self.scene.names)
 
-    def hold(self, scene: Scene, q: Array, levers: Array, reach: Array) -> bool:
+    def hold(self, scene: Scene, q: Array, lever_arm_bounds: Array, reach: Array) -> bool:
         """Return whether no other obstacle can be within reach at a posture.
 
         Where it is crowded, a little motion makes no difference.
@@ -79,22 +77,24 @@ class Surroundings(NamedTuple):
         Args:
             scene: the obstacles now.
             q: (n,) posture now.
-            levers: (c, n) of the links [m/rad, 1].
+            lever_arm_bounds: (c, n) of the links [m/rad, 1].
             reach: (c,) how near an obstacle must be to matter [m].
         """
-        return scene is self.scene and _within(
-            levers, q, self.q, reach, self.range, self.crowded)
+        return scene is self.scene and _holds(
+            lever_arm_bounds, q, self.q, reach, self.range, self.crowded)
 
 
 @compiled
-def _within(
-    levers: Matrix, q: Vector, then: Vector, reach: Vector, limits: Vector, crowded: bool,
+def _holds(
+    lever_arm_bounds: Matrix, q: Vector, then: Vector, reach: Vector, limits: Vector,
+    crowded: bool,
 ) -> bool:
-    for link in range(len(levers)):
+    """Do what `Surroundings.hold` does, for the scene that it is about."""
+    for link in range(len(lever_arm_bounds)):
         way = 0.0
         for j in range(len(q)):
-            way += levers[link, j] * abs(q[j] - then[j])
-        if way > _LITTLE if crowded else reach[link] + way > limits[link]:
+            way += lever_arm_bounds[link, j] * abs(q[j] - then[j])
+        if way > _MOTION_UNTIL_NEXT_CHOICE if crowded else reach[link] + way > limits[link]:
             return False
     return True
 
@@ -107,45 +107,60 @@ def everything(scene: Scene, radii: Array, lead: float, q: Array) -> Surrounding
         radii, lead: as for `inflated_ellipsoids`.
         q: (n,) any posture.
     """
-    maps, every = inflated_ellipsoids(scene, radii, lead), np.arange(len(scene.names))
-    return Surroundings(scene, every, maps, every, maps, q, np.full(len(radii), np.inf), False)
+    ellipsoids, every = inflated_ellipsoids(scene, radii, lead), np.arange(len(scene.names))
+    unbounded = np.full(len(radii), np.inf)
+    return Surroundings(scene, every, ellipsoids, every, ellipsoids, q, unbounded, False)
 
 
 def surroundings(
-    scene: Scene, radii: Array, lead: float, start: Array, end: Array, q: Array, reach: Array,
-    course: float,
+    scene: Scene, radii: Array, lead: float, arm: Kinematics, reach: Array, course: float,
 ) -> Surroundings:
     """Choose the obstacles that are, or may soon be, within reach of a link.
 
-    The nearest one is among them in any case. Of more than `MOST_NEAR` those are chosen that are
-    deepest within reach.
+    The nearest obstacle is always among them. If more than `MOST_NEAR` are within reach, it
+    chooses those that are deepest in it.
 
     Args:
         scene: all obstacles.
         radii: (c,) of the links, their margin included [m].
         lead: as for `inflated_ellipsoids` [s].
-        start, end: (c, 3) the links' segments at the posture [m].
-        q: (n,) the posture.
+        arm: its posture.
         reach: (c,) how near an obstacle must be to matter [m].
         course: how far ahead obstacles are looked at in their course, at most [s].
     """
-    wide = reach + _SLACK
+    reaches = _Reaches(arm.segment_start, arm.segment_end, radii, reach + _EXTRA_RANGE, lead)
     near, nearest, beyond = _chosen(
-        scene.centers, scene.semi_axes, scene.velocities, radii, lead, start, end, wide, course,
-        MOST_NEAR, MOST_AHEAD)
+        scene.centers, scene.semi_axes, scene.velocities, reaches, course, MOST_NEAR, MOST_AHEAD)
     if len(near) == len(scene.names):
-        wide[:] = np.inf
+        reaches.range[:] = np.inf
     return Surroundings(
         scene, near, inflated_ellipsoids(scene, radii, lead, near), nearest,
-        inflated_ellipsoids(scene, radii, lead, nearest), q, wide + beyond, beyond < 0.0)
+        inflated_ellipsoids(scene, radii, lead, nearest), arm.q, reaches.range + beyond,
+        beyond < 0.0)
+
+
+class _Reaches(NamedTuple):
+    """The links, and how far from each of them obstacles are looked for.
+
+    Attributes:
+        start, end: (c, 3) their segments [m].
+        radii: (c,) [m].
+        range: (c,) how far from them [m].
+        lead: see `inflated_ellipsoids` [s].
+    """
+
+    start: Matrix
+    end: Matrix
+    radii: Vector
+    range: Vector
+    lead: float
 
 
 @kernel
 def _least_distances(
-    centers: Matrix, semi_axes: Matrix, velocities: Matrix, radii: Vector, lead: float,
-    start: Matrix, end: Matrix, wide: Vector,
+    centers: Matrix, semi_axes: Matrix, velocities: Matrix, links: _Reaches,
 ) -> tuple[Array, Array]:
-    """Return bounds of obstacles' distances: how far beyond `wide`, and how far, (k,) each [m].
+    """Return bounds of obstacles' distances: how far beyond the range, and how far, (k,) each [m].
 
     With the distance d of the centre from the segment and the smallest and largest inflated
     semi-axes a and b, the link's `distance` ρ a is at least (d / b − 1) a; no axes need be turned
@@ -161,13 +176,13 @@ def _least_distances(
         short[i], long[i] = min(a, b, c), max(a, b, c)
         blunt[i] = 0.5 * (long[i] / mean + mean / long[i])
         a, b, c = velocities[i]
-        led[i] = lead * math.sqrt(a * a + b * b + c * c)
+        led[i] = links.lead * math.sqrt(a * a + b * b + c * c)
     beyond, distance = np.full(count, np.inf), np.full(count, np.inf)
-    for link in range(len(start)):
-        x1, y1, z1 = start[link]
-        dx, dy, dz = end[link] - start[link]
+    for link in range(len(links.start)):
+        x1, y1, z1 = links.start[link]
+        dx, dy, dz = links.end[link] - links.start[link]
         inverse = 1.0 / max(dx * dx + dy * dy + dz * dz, _TINY)
-        radius, limit = radii[link], wide[link]
+        radius, limit = links.radii[link], links.range[link]
         # Without branches, so that it is done for several obstacles at once.
         for i in range(count):
             u, v, w = x[i] - x1, y[i] - y1, z[i] - z1
@@ -201,17 +216,16 @@ def _up_to(values: Vector, limit: float, most: int) -> Indices:
     return index[:found]
 
 
-@compiled
+@entry
 def _chosen(
-    centers: Matrix, semi_axes: Matrix, velocities: Matrix, radii: Vector, lead: float,
-    start: Matrix, end: Matrix, wide: Vector, course: float, most: int, most_ahead: int,
+    centers: Matrix, semi_axes: Matrix, velocities: Matrix, links: _Reaches, course: float,
+    most: int, most_ahead: int,
 ) -> tuple[Indices, Indices, float]:
-    """Return which obstacles can be within a distance of a link, and which are soon nearest.
+    """Return which obstacles can be within range of a link, and which are soon nearest.
 
-    And how much further than `wide` from every link all others are, 0 or less.
+    And how much further than the range all others are from every link, 0 or less.
     """
-    beyond, distance = _least_distances(
-        centers, semi_axes, velocities, radii, lead, start, end, wide)
+    beyond, distance = _least_distances(centers, semi_axes, velocities, links)
     near = 0
     for value in beyond:
         near += not value > 0.0

@@ -68,7 +68,5 @@ class Obstacle:
     @property
     def rotation(self) -> Array:
         """(3, 3) ellipsoid axes in the base frame."""
-        from redundant_planner.core.obstacles.clearance import (
-            rotations,  # compiled: not at the start
-        )
+        from redundant_planner.core.obstacles.scene import rotations  # compiled: not at the start
         return rotations(self.orientation[None])[0]

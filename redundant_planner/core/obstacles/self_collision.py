@@ -20,6 +20,7 @@ from redundant_planner.core.kernels import (
     Vector,
 )
 from redundant_planner.core.robot.jacobian import joint_shares
+from redundant_planner.core.robot.kinematics import Links
 
 Array = npt.NDArray[np.float64]
 
@@ -99,7 +100,7 @@ def _link_distances(
 
 @compiled
 def distance_gradients(
-    points: Stack, chosen: Indices, columns: Matrix, moves: Matrix,
+    points: Stack, chosen: Indices, joint_screws: Matrix, supports: Matrix,
 ) -> Array:
     """Return ∂distance/∂q of the chosen pairs, (k, n).
 
@@ -110,25 +111,43 @@ def distance_gradients(
     Args:
         points: of the pairs, from `link_distances` [m].
         chosen: (k,) indices into the pairs.
-        columns: (6, n) joint screws at the base origin.
-        moves: (p, n) for every pair, 1 where a joint moves its first link alone, −1 where it
-            moves the second alone, else 0.
+        joint_screws: (6, n) see `Kinematics`.
+        supports: (p, n) for every pair, see `SelfPairs`.
     """
-    gradient = np.empty((len(chosen), columns.shape[1]))
+    gradient = np.empty((len(chosen), joint_screws.shape[1]))
     for row in range(len(chosen)):
         pair = chosen[row]
         gap = points[pair, 0] - points[pair, 1]
         size = max(math.sqrt(gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2]), 1e-9)
-        joint_shares(columns, points[pair, 0], gap / size, moves[pair], gradient[row])
+        joint_shares(joint_screws, points[pair, 0], gap / size, supports[pair], gradient[row])
     return gradient
 
 
 @kernel
-def _along(levers: Vector, motion: Vector) -> float:
+def _way(lever_arm_bounds: Vector, motion: Vector) -> float:
+    """Return how far two links can approach each other in a motion (n,) of the joints [m]."""
     total = 0.0
     for j in range(len(motion)):
-        total += levers[j] * motion[j]
+        total += lever_arm_bounds[j] * motion[j]
     return total
+
+
+class SelfPairs(NamedTuple):
+    """The pairs of links that can collide.
+
+    Attributes:
+        radii: (c,) of the links, half the margin included [m].
+        links: (p, 2) which links.
+        supports: (p, n) 1 where a joint moves the first link alone, −1 where it moves the second
+            alone, else 0.
+        lever_arm_bounds: (p, n) how fast their distance may fall per unit of joint velocity
+            [m/rad, 1].
+    """
+
+    radii: Vector
+    links: IndexPairs
+    supports: Matrix
+    lever_arm_bounds: Matrix
 
 
 class NearLinks(NamedTuple):
@@ -147,47 +166,43 @@ class NearLinks(NamedTuple):
 
 @kernel
 def near_links(
-    q: Vector, start: Matrix, end: Matrix, columns: Matrix, radii: Vector, links: IndexPairs,
-    moves: Matrix, levers: Matrix, fastest: Vector, rate: float, known_at: OutVector,
+    q: Vector, arm: Links, pairs: SelfPairs, fastest: Vector, rate: float, known_at: OutVector,
     known: OutVector,
 ) -> NearLinks:
     """Return the pairs whose barrier could act in this tick.
 
     A pair's distance falls by no more than the joints between its links have moved: as long as
-    that settles it, nothing is measured. Links found closer than the margin may stay so, they
-    only may not get closer: capsules are fatter than links, and an arm must not start to move
+    that settles it, nothing is measured. Links found closer than the margin may stay so; they
+    only may not get closer. Capsules are fatter than links, and an arm must not start to move
     by itself because of it.
 
     Args:
         q: (n,) the posture.
-        start, end, columns: of the arm, as for `link_distances` and `distance_gradients`.
-        radii: (c,) half the margin included [m].
-        links: (p, 2) which links.
-        moves: (p, n) as for `distance_gradients`.
-        levers: (p, n) how fast a pair's distance may fall per unit of joint velocity [m/rad, 1].
+        arm: its links.
+        pairs: which of them can collide.
         fastest: (n,) the fastest the joints may move [rad/s, m/s].
         rate: share of a distance that may be used up per second [1/s].
         known_at: (n,) where the links were last measured against each other; NaN if never.
         known: (p,) what was found there [m]; both are brought up to date.
     """
-    count, reach = len(links), fastest / rate
+    count, reach, bounds = len(pairs.links), fastest / rate, pairs.lever_arm_bounds
     settled, moved = True, reach.copy()
     for j in range(len(q)):
         moved[j] += abs(q[j] - known_at[j])
     for pair in range(count):
         # Not so where nothing is known yet: no comparison with NaN holds.
-        settled = settled and known[pair] > _along(levers[pair], moved)
+        settled = settled and known[pair] > _way(bounds[pair], moved)
     near, found = np.empty(count, np.intp), 0
     points = np.empty((count, 2, 3))
     if not settled:
-        _link_distances(start, end, radii, links, known, points)
+        _link_distances(arm.start, arm.end, pairs.radii, pairs.links, known, points)
         known_at[:] = q
         for pair in range(count):
-            if known[pair] <= _along(levers[pair], reach):
+            if known[pair] <= _way(bounds[pair], reach):
                 near[found] = pair
                 found += 1
     distance = np.empty(found)
     for i in range(found):
         distance[i] = max(known[near[i]], 0.0)
-    pairs = near[:found]
-    return NearLinks(pairs, distance, distance_gradients(points, pairs, columns, moves))
+    gradient = distance_gradients(points, near[:found], arm.joint_screws, pairs.supports)
+    return NearLinks(near[:found], distance, gradient)

@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.obstacles.clearance import Scene
 from redundant_planner.core.obstacles.nearby import everything, FEW, Surroundings, surroundings
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.robot.model import Kinematics, Robot
+from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.safety.pace import reach
 
 Array = npt.NDArray[np.float64]
@@ -75,8 +76,7 @@ class ObstacleWatch:
             self._around = everything(scene, self._radii, self._lead, arm.q)
             return self._around
         near = reach(previous, self.fastest, self._constants, self._gains, dt)
-        if around is None or not around.hold(scene, arm.q, self._robot.levers, near):
+        if around is None or not around.hold(scene, arm.q, self._robot.lever_arm_bounds, near):
             self._around = around = surroundings(
-                scene, self._radii, self._lead, arm.segment_start, arm.segment_end, arm.q, near,
-                self._course)
+                scene, self._radii, self._lead, arm, near, self._course)
         return around

@@ -8,6 +8,7 @@ be minimised and enter the sum of Eq. 18 with a minus sign, in `total_gradient` 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -48,7 +49,7 @@ def fade(ratio: float) -> float:
 
 @compiled
 def clearance_index(
-    clearance: Vector, distance: Vector, gradient: Matrix, smoothing: float,
+    normalized_distance: Vector, distance: Vector, gradient: Matrix, smoothing: float,
     influence_distance: float,
 ) -> tuple[float, Array]:
     """Return H_w of Eq. 7, the smallest S over all links and obstacles, and its gradient.
@@ -62,7 +63,7 @@ def clearance_index(
     the largest fade. An infinite influence distance is Eq. 7 to the letter.
 
     Args:
-        clearance: (p,) ρ of every pair.
+        normalized_distance: (p,) ρ of every pair.
         distance: (p,) not more than the pairs' true distances [m].
         gradient: (p, n) ∂ρ/∂q, from `clearance_gradients`.
         smoothing: w [unit of S].
@@ -73,10 +74,10 @@ def clearance_index(
     """
     n = gradient.shape[1]
     total_gradient = np.zeros(n)
-    shares = np.empty(len(clearance))
+    shares = np.empty(len(normalized_distance))
     lowest, lowest_counting, nearest, activation = np.inf, np.inf, -1, 0.0
-    for i in range(len(clearance)):
-        level = clearance[i] * (clearance[i] + 2.0)  # S of Eq. 6
+    for i in range(len(normalized_distance)):
+        level = normalized_distance[i] * (normalized_distance[i] + 2.0)  # S of Eq. 6
         lowest = min(lowest, level)
         shares[i] = fade(distance[i] / influence_distance)
         activation = max(activation, shares[i])
@@ -86,8 +87,8 @@ def clearance_index(
         return lowest, total_gradient
     total = 0.0
     if smoothing > 0.0:
-        for i in range(len(clearance)):
-            level = clearance[i] * (clearance[i] + 2.0)
+        for i in range(len(normalized_distance)):
+            level = normalized_distance[i] * (normalized_distance[i] + 2.0)
             shares[i] *= math.exp((lowest - level) / smoothing)
             total += shares[i]
     if total > 0.0:
@@ -96,8 +97,9 @@ def clearance_index(
         value, total = lowest, 1.0
         shares[:] = 0.0
         shares[nearest] = 1.0
-    for i in range(len(clearance)):
-        slope = shares[i] * (2.0 * activation / total * (clearance[i] + 1.0))  # ∂S/∂ρ = 2 (ρ + 1)
+    for i in range(len(normalized_distance)):
+        # ∂S/∂ρ = 2 (ρ + 1)
+        slope = shares[i] * (2.0 * activation / total * (normalized_distance[i] + 1.0))
         for j in range(n):
             total_gradient[j] += slope * gradient[i, j]
     return value, total_gradient
@@ -143,16 +145,28 @@ def shortest_path_index(least_norm: Vector, change: Vector) -> tuple[float, Arra
     return value, -change
 
 
+class IndexWeights(NamedTuple):
+    """What each index counts in Eq. 18, all of them 0 or more; k_m is not the paper's."""
+
+    k_w: float
+    k_s: float
+    k_f: float
+    k_m: float
+
+
 @compiled
 def total_gradient(
     clearance: Vector, joint_limit: Vector, shortest_path: Vector, manipulability: Vector,
-    k_w: float, k_s: float, k_f: float, k_m: float,
+    weights: IndexWeights,
 ) -> Array:
     """Return ∇H of Eq. 18, (n,), pointing where the arm should go.
 
-    Eq. 18 writes k_w ∇H_w + k_s ∇H_s + k_f ∇H_f and leaves the signs to the coefficients; here
-    all coefficients are positive and the minimised indices are subtracted. k_m is not the
-    paper's.
+    Eq. 18 writes k_w ∇H_w + k_s ∇H_s + k_f ∇H_f and leaves the signs to the coefficients. Here
+    all coefficients are positive, and the minimised indices are subtracted.
+
+    Args:
+        clearance, joint_limit, shortest_path, manipulability: (n,) the indices' gradients.
+        weights: what they count.
     """
-    return (k_w * clearance - k_s * joint_limit - k_f * shortest_path
-            + k_m * manipulability)
+    return (weights.k_w * clearance - weights.k_s * joint_limit - weights.k_f * shortest_path
+            + weights.k_m * manipulability)

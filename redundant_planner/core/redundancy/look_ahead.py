@@ -12,9 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.horizon.path_qp import Horizon, middles, node_times, poses_ahead
+from redundant_planner.core.horizon.horizon import Horizon
+from redundant_planner.core.horizon.least_norm_path import PathJoints
+from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
 from redundant_planner.core.horizon.preview import continued, TwistAhead
-from redundant_planner.core.obstacles.clearance import InflatedEllipsoids
+from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy.reference import Start, task_of
 from redundant_planner.core.robot.model import Robot
@@ -52,8 +54,8 @@ class LookAhead:
         self._robot, self._constants, self._gains = robot, constants, gains
         self._always = parameters.method == 'variational'
         self._horizons = tuple(
-            Horizon(robot, node_times(duration, parameters.horizon_nodes), constants.scaling,
-                    limits.positions[1], limits.positions[0])
+            Horizon(robot, node_times(duration, parameters.horizon_nodes), PathJoints(
+                constants.scaling, limits.positions[1], limits.positions[0]))
             for duration in (parameters.horizon_duration, parameters.horizon_held_duration))
         self._controlled = robot.full_twist(np.ones(robot.m))
         self.reset()

@@ -14,7 +14,7 @@ from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.kernels import compiled, entry, Indices, Vector
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.jacobian import jdot_qdot
-from redundant_planner.core.robot.model import Kinematics
+from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.se3 import Pose
 
 Array = npt.NDArray[np.float64]

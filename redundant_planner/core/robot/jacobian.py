@@ -20,24 +20,24 @@ Array = npt.NDArray[np.float64]
 
 @kernel
 def joint_shares(
-    columns: Matrix, point: Vector, force: Vector, moves: Vector, shares: OutVector,
+    joint_screws: Matrix, point: Vector, force: Vector, supports: Vector, shares: OutVector,
 ) -> None:
     """Write the joints' shares in f · ẋ of a point x, (n,): f · v_j + (x × f) · w_j.
 
     Args:
-        columns: (6, n) joint screws [v_j; w_j] at the base origin.
+        joint_screws: (6, n) [v_j; w_j] at the base origin.
         point: (3,) x in the base frame [m].
         force: (3,) f, of any unit.
-        moves: (n,) factors: 1 where a joint moves the point, else 0.
+        supports: (n,) factors: 1 where a joint moves the point, else 0.
         shares: (n,) what is written [unit of f times m/rad, or of f].
     """
     x1, x2, x3 = point
     f1, f2, f3 = force
     for j in range(len(shares)):
         shares[j] = 0.0
-        if moves[j] != 0.0:
-            v1, v2, v3, w1, w2, w3 = columns[:, j]
-            shares[j] = moves[j] * (
+        if supports[j] != 0.0:
+            v1, v2, v3, w1, w2, w3 = joint_screws[:, j]
+            shares[j] = supports[j] * (
                 f1 * v1 + f2 * v2 + f3 * v3 + (x2 * f3 - x3 * f2) * w1
                 + (x3 * f1 - x1 * f3) * w2 + (x1 * f2 - x2 * f1) * w3)
 

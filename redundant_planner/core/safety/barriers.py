@@ -14,13 +14,14 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import RobotConstants
 from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Vector
-from redundant_planner.core.obstacles.clearance import InflatedEllipsoids, NearPairs
 from redundant_planner.core.obstacles.evasion import Turn
+from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.near_pairs import NearPairs
 from redundant_planner.core.obstacles.self_collision import NearLinks
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.robot.jacobian import derivative_between, jdot_qdot
-from redundant_planner.core.robot.model import Kinematics
+from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.safety.limits import (
     barrier_rate,
     Limits,
@@ -161,7 +162,7 @@ def obstacle_rows(
     for pair in near.acting:
         link, obstacle = near.links[pair], near.obstacles[pair]
         rows.gradient[at] = near.gradient[pair]
-        rows.time_derivative[at], rows.value[at] = near.rate[pair], near.clearance[pair]
+        rows.time_derivative[at], rows.value[at] = near.rate[pair], near.normalized_distance[pair]
         rows.spare[at] = lead * maps.speeds[obstacle] / maps.smallest[link, obstacle]
         rows.kind[at], rows.first[at], rows.second[at] = OBSTACLE, link, obstacle
         at += 1

@@ -32,12 +32,12 @@ class Pace(NamedTuple):
 def pace(previous: Vector, constants: RobotConstants, gain: float, dt: float) -> Pace:
     """Return how far a tick can lead from a velocity (n,)."""
     n = len(previous)
-    fastest, speeds = np.empty(n), np.zeros(len(constants.levers))
+    fastest, speeds = np.empty(n), np.zeros(len(constants.lever_arm_bounds))
     for j in range(n):
         fastest[j] = min(abs(previous[j]) + constants.acceleration_max[j] * dt,
                          constants.velocity_max[j])
         for link in range(len(speeds)):
-            speeds[link] += constants.levers[link, j] * fastest[j]
+            speeds[link] += constants.lever_arm_bounds[link, j] * fastest[j]
     stop = stopping_time(previous, constants.acceleration_max) + dt
     return Pace(fastest, speeds, barrier_rate(gain, stop, dt))
 
@@ -61,18 +61,20 @@ def reach(
 
 
 @kernel
-def unseen_distances(q: Vector, levers: Matrix, range_at: Vector, ranges: Vector) -> Array:
+def unseen_distances(
+    q: Vector, lever_arm_bounds: Matrix, range_at: Vector, ranges: Vector,
+) -> Array:
     """Return how near to a link an obstacle may be that is not looked at, (c,) [m].
 
     Args:
         q: (n,) the posture.
-        levers: (c, n) of the links.
+        lever_arm_bounds: (c, n) of the links.
         range_at, ranges: where and what the surroundings' range is, see `Surroundings`.
     """
     unseen = ranges.copy()
     for link in range(len(unseen)):
         for j in range(len(q)):
-            unseen[link] -= levers[link, j] * abs(q[j] - range_at[j])
+            unseen[link] -= lever_arm_bounds[link, j] * abs(q[j] - range_at[j])
     return unseen
 
 

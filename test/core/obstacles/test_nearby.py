@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.obstacles import nearby
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.nearby import surroundings
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 
@@ -36,17 +38,16 @@ def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach)
     (q,) = random_postures(PANDA, 1, seed)
     arm = PANDA.kinematics(q)
     limit = np.full(len(RADII), reach) * random.uniform(0.5, 1.0, len(RADII))
-    around = surroundings(
-        scene, RADII, LEAD, arm.segment_start, arm.segment_end, q, limit, COURSE)
-    assert around.hold(scene, q, PANDA.levers, limit)
+    around = surroundings(scene, RADII, LEAD, arm, limit, COURSE)
+    assert around.hold(scene, q, PANDA.lever_arm_bounds, limit)
     left_out = ~np.isin(np.arange(60), around.near)
     for _ in range(20):
         q = q + step * random.normal(size=7) * 0.1
         arm = PANDA.kinematics(q)
         pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
-        if around.hold(scene, q, PANDA.levers, limit):
+        if around.hold(scene, q, PANDA.lever_arm_bounds, limit):
             assert (pairs.distance[:, left_out] > limit[:, None] - 1e-9).all()
-    assert not around.hold(cloud(60, seed, speed=0.2), q, PANDA.levers, limit)
+    assert not around.hold(cloud(60, seed, speed=0.2), q, PANDA.lever_arm_bounds, limit)
 
 
 @settings(deadline=None, max_examples=40)
@@ -58,8 +59,7 @@ def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(nearby, 'MOST_NEAR', most)
         patch.setattr(nearby, 'MOST_AHEAD', most)
-        around = surroundings(scene, RADII, LEAD, arm.segment_start, arm.segment_end, q,
-                              np.full(len(RADII), reach), COURSE)
+        around = surroundings(scene, RADII, LEAD, arm, np.full(len(RADII), reach), COURSE)
     assert 1 <= len(around.near) <= most and len(around.nearest) == most
     distance = link_clearance(
         inflated_ellipsoids(scene, RADII, LEAD), arm.segment_start, arm.segment_end).distance
@@ -73,8 +73,8 @@ def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed
                      for o in scene.obstacles())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(nearby, 'MOST_AHEAD', most)
-        nearest = surroundings(balls, RADII, LEAD, arm.segment_start, arm.segment_end, q,
-                               np.full(len(RADII), reach), COURSE).nearest
+        nearest = surroundings(
+            balls, RADII, LEAD, arm, np.full(len(RADII), reach), COURSE).nearest
     least = link_clearance(
         inflated_ellipsoids(balls, RADII, LEAD),
         arm.segment_start, arm.segment_end).distance.min(axis=0)
@@ -98,7 +98,7 @@ def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch)
     scene = cloud(400, 2, extent=2.0, speed=speed)
     radii = np.array([capsule.radius + 0.03 for capsule in robot.capsules])
     free = (link_clearance(inflated_ellipsoids(scene, radii), arm.segment_start, arm.segment_end)
-            .clearance > 0.0).all(axis=0)
+            .normalized_distance > 0.0).all(axis=0)
     scene = Scene.of(o for o, is_free in zip(scene.obstacles(), free) if is_free)
     twists = 0.2 * random.normal(size=(6, 6))
 

@@ -7,14 +7,12 @@ from conftest import central_difference, make_panda, make_paper_arm, random_post
 import numpy as np
 import pytest
 
-from redundant_planner.core.obstacles.clearance import (
-    clearance_gradients,
-    inflated_ellipsoids,
-    link_clearance,
-    Scene,
-)
+from redundant_planner.core.obstacles.clearance import clearance_gradients, link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.redundancy import criteria, null_space as ns
 from redundant_planner.core.robot.jacobian import derivative_between
+from redundant_planner.core.robot.kinematics import Links
 
 
 def test_joint_limit_index_is_equation_3(robot):
@@ -34,17 +32,18 @@ def clearance_of(robot, q, obstacles, points, smoothing=0.0, influence_distance=
     scene = Scene.of(obstacles)
     if points == 'links':
         radii = [c.radius for c in robot.capsules]
-        start, end, moves = arm.segment_start, arm.segment_end, robot.moves
+        links = robot.links(arm)
     else:
         radii = np.zeros(robot.n + 1)
-        start = end = robot.joint_points(q)
-        moves = np.tril(np.ones((robot.n + 1, robot.n)))
+        points = robot.joint_points(q)
+        links = Links(points, points, arm.joint_screws, np.tril(np.ones((robot.n + 1, robot.n))))
     maps = inflated_ellipsoids(scene, radii)
-    pairs = link_clearance(maps, start, end)
-    every = np.isfinite(pairs.clearance).nonzero()
-    gradient, _ = clearance_gradients(maps, pairs, every, start, end, arm.columns, moves)
+    pairs = link_clearance(maps, links.start, links.end)
+    every = np.isfinite(pairs.normalized_distance).nonzero()
+    gradient, _ = clearance_gradients(maps, pairs, every, links)
     return criteria.clearance_index(
-        pairs.clearance.ravel(), pairs.distance.ravel(), gradient, smoothing, influence_distance)
+        pairs.normalized_distance.ravel(), pairs.distance.ravel(), gradient, smoothing,
+        influence_distance)
 
 
 def change(robot, arm, left, dq):
@@ -159,7 +158,7 @@ def test_shortest_path_index_with_joint_weights_and_prismatic_joints(paper_arm):
 def test_total_gradient_maximises_clearance_and_minimises_the_rest():
     w, s, f, m = np.eye(4)
     np.testing.assert_array_equal(
-        criteria.total_gradient(w, s, f, m, 2.0, 3.0, 4.0, 5.0),
+        criteria.total_gradient(w, s, f, m, criteria.IndexWeights(2.0, 3.0, 4.0, 5.0)),
         [2.0, -3.0, -4.0, 5.0])
 
 

@@ -7,7 +7,7 @@ from hypothesis import example, given, settings, strategies as st
 import numpy as np
 import pytest
 
-from redundant_planner.core.obstacles.clearance import Scene
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety.barriers import barriers_of

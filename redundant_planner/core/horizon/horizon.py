@@ -1,0 +1,158 @@
+"""The joint path ahead from tick to tick: whose turn it is to be improved."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
+from redundant_planner.core.horizon.multi_start import MultiStart
+from redundant_planner.core.horizon.path_qp import PathQP, Plan
+from redundant_planner.core.horizon.poses_ahead import Poses
+from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.robot.model import Robot
+
+Array = npt.NDArray[np.float64]
+
+# The poses of a plan get wrong when the command changes. Beyond the first error a plan is only
+# kept if a new one is not better; beyond the second it is not even compared [m, rad].
+_ERROR_TO_COMPARE = 1e-2
+_ERROR_TO_REPLACE = 0.15
+# A plan that is not free this often in a row leads nowhere: one step mends what a change of the
+# command has done.
+_LOOKS_UNTIL_BLOCKED = 2
+# Another plan replaces this one if it costs less than this share.
+_COST_SHARE_TO_SWITCH = 0.9
+# Steps that a path found by the search gets to settle: at least, and at most.
+_LEAST_SETTLING, _MOST_SETTLING = 3, 5
+
+
+class Horizon:
+    """The joint path ahead of one arm.
+
+    It remembers the plan that the arm follows from tick to tick. Every other tick improves this
+    plan. The others go to a search for other ways (`multi_start`). What a search finds settles
+    for a few steps; it replaces the plan if the plan is not free or clearly longer.
+
+    Attributes:
+        times: (N + 1,) of the nodes, from now [s].
+    """
+
+    def __init__(self, robot: Robot, times: Array, joints: PathJoints) -> None:
+        """Prepare for an arm and times (N + 1,) ahead, from `node_times`."""
+        self.times = times
+        self._robot, self._joints = robot, joints
+        self._problem = PathQP(robot, times, joints)
+        self._search = MultiStart(self._problem)
+        self._moving_on: tuple[float, Array] | None = None
+        self.reset()
+
+    @property
+    def nodes(self) -> Array | None:
+        """The planned postures (N, n) at times[1:]; None before the first tick."""
+        return None if self._plan is None else self._plan.nodes.copy()
+
+    @property
+    def free(self) -> bool:
+        """Whether the plan led all the way when it was last looked at."""
+        return self._plan is not None and self._plan.admissible
+
+    @property
+    def cut_short(self) -> bool:
+        """Whether the last tick's problem took more iterations than it may."""
+        return self._problem.cut_short
+
+    def reset(self) -> None:
+        """Forget the plan and the search."""
+        self._plan: Plan | None = None
+        self._found: Plan | None = None
+        self._closest: Array | None = None
+        self._ticks, self._settled, self._troubled = 0, 0, 0
+        self._search.reset()
+
+    def advance(
+        self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids, dt: float,
+    ) -> Array | None:
+        """Move the plan on by `dt`, take one step to improve it, and return its velocity (n,) now.
+
+        None where the QP has no solution; the next tick then starts afresh.
+
+        Args:
+            q: (n,) where the arm is.
+            poses: N, from `poses_ahead`.
+            ellipsoids: the obstacles now, for links with their margin.
+            dt: time since the last tick [s].
+        """
+        self._problem.cut_short = False
+        if self._plan is not None:
+            self._plan = self._moved_on(self._plan, q, dt)
+        if self._found is not None:
+            self._found = self._moved_on(self._found, q, dt)
+        self._search.pass_time(dt)
+        self._step(q, poses, ellipsoids)
+        if self._plan is None:
+            return None
+        stiffness = 1.0 / (self.times[1] - self.times[0])
+        return (self._plan.nodes[0] - q) * stiffness
+
+    def _step(self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids) -> None:
+        """Give one step to the plan, to the search or to what it has found."""
+        self._ticks += 1
+        if self._plan is None or self._ticks % (4 if self._blocked else 2) == 0:
+            self._follow(q, poses, ellipsoids)
+        elif self._found is not None:
+            self._settle(q, poses, ellipsoids)
+        else:
+            found = self._search.step(q, poses, ellipsoids, self._closest)
+            if found is not None:
+                nodes, age = found
+                self._found, self._settled = self._moved_on(Plan(nodes), q, age), 0
+
+    @property
+    def _blocked(self) -> bool:
+        """Whether the plan leads nowhere."""
+        return self._troubled >= _LOOKS_UNTIL_BLOCKED
+
+    def _follow(self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids) -> None:
+        """Take one step with the plan; start anew where that is better than mending it."""
+        problem, plan = self._problem, None
+        if self._plan is not None:
+            plan, local = problem.look(q, self._plan.nodes, poses, ellipsoids)
+            self._troubled = 0 if plan.admissible else self._troubled + 1
+            self._closest = (local.gradients[int(local.bounds.argmax())]
+                             if local.bounds.size else None)
+            if plan.measures.error < _ERROR_TO_COMPARE:
+                self._plan = problem.improved(plan, local)
+                return
+        nodes = least_norm_path(self._robot, q, poses, self._joints)
+        fresh, around = problem.look(q, nodes, poses, ellipsoids)
+        if (plan is not None and plan.measures.error < _ERROR_TO_REPLACE
+                and fresh.price >= _COST_SHARE_TO_SWITCH * plan.price):
+            self._plan = problem.improved(plan, local)
+            return
+        self._search.drop()
+        self._found = None
+        # Having looked twice, it leaves the rest of the work to the next step.
+        self._plan = problem.improved(fresh, around) if plan is None else fresh
+        self._troubled = 0
+
+    def _settle(self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids) -> None:
+        """Take one step with what a search has found; take it over if it is better."""
+        assert self._found is not None and self._plan is not None
+        found, local = self._problem.look(q, self._found.nodes, poses, ellipsoids)
+        self._settled += 1
+        shorter = found.measures.cost < _COST_SHARE_TO_SWITCH * self._plan.measures.cost
+        if self._settled >= _LEAST_SETTLING and found.admissible and (self._blocked or shorter):
+            self._plan, self._found, self._troubled = found, None, 0
+        elif self._settled > _MOST_SETTLING:
+            self._found = None
+        else:
+            self._found = self._problem.improved(found, local)
+
+    def _moved_on(self, plan: Plan, q: Array, dt: float) -> Plan:
+        """Return a plan at the new times, by interpolation."""
+        if self._moving_on is None or self._moving_on[0] != dt:
+            self._moving_on = dt, np.array([
+                np.interp(self.times[1:] + dt, self.times, row)
+                for row in np.eye(len(self.times))]).T
+        return plan._replace(nodes=self._moving_on[1] @ np.vstack((q, plan.nodes)))

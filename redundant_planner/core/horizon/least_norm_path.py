@@ -1,0 +1,103 @@
+"""Joint paths of the least motion from each pose to the next: where every search starts from."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.horizon.poses_ahead import error_to, Poses
+from redundant_planner.core.kernels import compiled, entry, Matrix, Stack, Vector
+from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.robot.kinematics import Chain, empty_kinematics, fill
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
+
+Array = npt.NDArray[np.float64]
+
+# Squared damping of the way to a pose: near a singularity it takes some more steps [m²].
+_SQUARED_DAMPING = 1e-4
+
+
+class PathJoints(NamedTuple):
+    """How the joints of a path are weighed and bounded.
+
+    Attributes:
+        scaling: (n,) 1 / square root of the joint weights.
+        position_min, position_max: (n,) margins taken off [rad, m].
+    """
+
+    scaling: Vector
+    position_min: Vector
+    position_max: Vector
+
+
+def least_norm_path(robot: Robot, q: Array, poses: Poses, joints: PathJoints) -> Array:
+    """Return the postures (N, n) that follow poses from a posture (n,) with the least motion each.
+
+    One step is taken towards each pose, which need not reach it to the last digit.
+    """
+    nodes = np.empty((len(poses.position), len(q)))
+    for i in range(len(nodes)):
+        due = Pose(poses.position[i], poses.rotation[i])
+        q = nodes[i] = _least_norm_step(q, due, *robot.joint_frames.at(q), robot.chain, joints)
+    return nodes
+
+
+@compiled
+def step_to_pose(orthogonal: Matrix, upper: Matrix, error: Vector) -> Array:
+    """Return the damped least-norm step Jᵀ (J Jᵀ + damping)⁻¹ e, (n,), of Jᵀ = Q [R; 0].
+
+    With J Jᵀ = Rᵀ R: a Cholesky decomposition of Rᵀ R + damping, and two substitutions.
+    """
+    m = len(error)
+    lower, dual = np.zeros((m, m)), np.empty(m)
+    for i in range(m):
+        for j in range(i + 1):
+            total = _SQUARED_DAMPING if i == j else 0.0
+            for k in range(j + 1):
+                total += upper[k, i] * upper[k, j] - (
+                    lower[i, k] * lower[j, k] if k < j else 0.0)
+            lower[i, j] = math.sqrt(total) if i == j else total / lower[j, j]
+    for i in range(m):
+        total = error[i]
+        for k in range(i):
+            total -= lower[i, k] * dual[k]
+        dual[i] = total / lower[i, i]
+    for i in range(m - 1, -1, -1):
+        total = dual[i]
+        for k in range(i + 1, m):
+            total -= lower[k, i] * dual[k]
+        dual[i] = total / lower[i, i]
+    step = np.zeros(len(orthogonal))
+    for i in range(m):
+        along = 0.0
+        for k in range(i, m):
+            along += upper[i, k] * dual[k]
+        for j in range(len(step)):
+            step[j] += orthogonal[j, i] * along
+    return step
+
+
+@entry
+def _least_norm_step(
+    q: Vector, due: Pose, screws: Matrix, rotations: Stack, positions: Matrix, chain: Chain,
+    joints: PathJoints,
+) -> Array:
+    """Return the posture (n,) that a damped least-norm step towards a tip pose leads to.
+
+    Args:
+        q: (n,) where it starts.
+        due: the pose.
+        screws, rotations, positions: from `JointFrames.at`.
+        chain: the arm.
+        joints: see there.
+    """
+    arm = empty_kinematics(q, chain)
+    fill(screws, rotations, positions, chain, arm)
+    error = error_to(due, Pose(arm.tip_position, arm.tip_rotation), chain.rows, chain.in_tool)
+    orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * joints.scaling)
+    step = joints.scaling * step_to_pose(orthogonal, upper, error)
+    return np.minimum(np.maximum(q + step, joints.position_min), joints.position_max)

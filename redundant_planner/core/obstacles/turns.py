@@ -1,0 +1,211 @@
+"""Turns of the first joints, followed through time among obstacles that move.
+
+Each turn is followed within the limits of speed and acceleration, while obstacles go on as they
+do. What it falls short of is the sum over links of their weight times (clear distance − smallest
+distance)²: a link that cannot be saved costs the others nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.kernels import (
+    compiled,
+    entry,
+    Indices,
+    kernel,
+    Matrix,
+    OutVector,
+    Vector,
+)
+from redundant_planner.core.obstacles.clearance import from_center, in_unit_ball, nearest_to_origin
+from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.robot.kinematics import Links
+
+Array = npt.NDArray[np.float64]
+
+# Time between the postures that are looked at [s].
+TIME_STEP = 0.05
+# A link is clear at this distance from the obstacles, beyond what is kept from them anyway [m].
+CLEAR_DISTANCE = 0.005
+
+
+class TurningJoints(NamedTuple):
+    """The first joints of an arm, which turn, and what they carry.
+
+    Attributes:
+        velocity_max, acceleration_max: (k,) what a turn may use of the limits.
+        links: which links they carry.
+        weights: (c,) how much it counts what a link falls short.
+        lever_arm_bounds: (c, n) see `Robot`.
+        horizon: for how long a turn is followed [s].
+    """
+
+    velocity_max: Vector
+    acceleration_max: Vector
+    links: Indices
+    weights: Vector
+    lever_arm_bounds: Matrix
+    horizon: float
+
+
+class Choice(NamedTuple):
+    """What was found among some turns.
+
+    Attributes:
+        turn: index of the best one, −1 if none counts.
+        shortage: what it falls short [m²].
+        tried: how many turns are done with.
+        distances: how many distances of links from obstacles this took.
+    """
+
+    turn: int
+    shortage: float
+    tried: int
+    distances: int
+
+
+@kernel
+def _next_speed(
+    rest: float, speed: float, speed_max: float, acceleration_max: float, dt: float,
+) -> float:
+    """Return a joint's velocity after dt that has this rest of its turn to go [rad/s, m/s]."""
+    largest = min(speed_max, math.sqrt(2.0 * acceleration_max * abs(rest)), abs(rest) / dt)
+    change = math.copysign(largest, rest) - speed
+    return speed + min(max(change, -acceleration_max * dt), acceleration_max * dt)
+
+
+@entry
+def next_velocities(
+    rest: Vector, velocities: Vector, joints: TurningJoints, dt: float,
+) -> Array:
+    """Return the velocities (k,) after these, towards the end of a turn that is (k,) away."""
+    following = np.empty(len(rest))
+    for j in range(len(rest)):
+        following[j] = _next_speed(
+            rest[j], velocities[j], joints.velocity_max[j], joints.acceleration_max[j], dt)
+    return following
+
+
+@compiled
+def turn_point(joint_screw: Vector, turn: float, point: OutVector) -> None:
+    """Take a point (3,) along with a joint of screw [v; w] at the base origin (Rodrigues)."""
+    v1, v2, v3, w1, w2, w3 = joint_screw
+    if w1 == 0.0 and w2 == 0.0 and w3 == 0.0:
+        point[0] += turn * v1
+        point[1] += turn * v2
+        point[2] += turn * v3
+        return
+    # With r from w × v, the axis' point nearest to the origin: sin w × r + (1 − cos) w × (w × r).
+    x = point[0] - w2 * v3 + w3 * v2
+    y = point[1] - w3 * v1 + w1 * v3
+    z = point[2] - w1 * v2 + w2 * v1
+    a, b, c = w2 * z - w3 * y, w3 * x - w1 * z, w1 * y - w2 * x
+    sine, rest = math.sin(turn), 1.0 - math.cos(turn)
+    point[0] += sine * a + rest * (w2 * c - w3 * b)
+    point[1] += sine * b + rest * (w3 * a - w1 * c)
+    point[2] += sine * c + rest * (w1 * b - w2 * a)
+
+
+@kernel
+def _distance(
+    ellipsoids: InflatedEllipsoids, link: int, start: Vector, end: Vector, time: float,
+) -> float:
+    """Return a link's smallest distance from where obstacles are after a time [m]."""
+    x1, y1, z1 = start
+    x2, y2, z2 = end
+    least = np.inf
+    for obstacle in range(len(ellipsoids.speeds)):
+        a, b, c = from_center(ellipsoids, obstacle, time, x1, y1, z1)
+        a, b, c = in_unit_ball(ellipsoids, link, obstacle, a, b, c)
+        u, v, w = in_unit_ball(ellipsoids, link, obstacle, x2 - x1, y2 - y1, z2 - z1)
+        size, _ = nearest_to_origin(a, b, c, u, v, w)
+        least = min(least, (size - 1.0) * ellipsoids.smallest[link, obstacle])
+    return least
+
+
+@kernel
+def _shortage(
+    arm: Links, ellipsoids: InflatedEllipsoids, joints: TurningJoints, velocities: Vector,
+    turn: Vector, at_first: Vector, limit: float,
+) -> tuple[float, int]:
+    """Return what a turn (k,) falls short [m²], and how often a link was measured for that.
+
+    It stops early at more than the limit. A distance falls by no more than the link and the
+    obstacles have moved: links are only measured when they could have come too close.
+
+    Args:
+        arm, ellipsoids, joints, velocities, limit: as for `best_turn`.
+        turn: (k,) [rad, m].
+        at_first: (c,) how much further than clear the links are from obstacles now [m].
+    """
+    spare, least = at_first.copy(), np.full(len(at_first), CLEAR_DISTANCE)
+    speeds, turned = velocities.copy(), np.zeros(len(turn))
+    start, end = np.empty(3), np.empty(3)
+    passing = TIME_STEP * ellipsoids.speeds.max()
+    shortage, measured = 0.0, 0
+    for step in range(1, math.ceil(joints.horizon / TIME_STEP) + 1):
+        for link in joints.links:
+            spare[link] -= passing
+        for j in range(len(turn)):
+            before = speeds[j]
+            speeds[j] = _next_speed(
+                turn[j] - turned[j], before, joints.velocity_max[j], joints.acceleration_max[j],
+                TIME_STEP)
+            way = 0.5 * TIME_STEP * (before + speeds[j])
+            turned[j] += way
+            for link in joints.links:
+                spare[link] -= joints.lever_arm_bounds[link, j] * abs(way)
+        for link in joints.links:
+            if spare[link] > 0.0:
+                continue
+            start[:], end[:] = arm.start[link], arm.end[link]
+            for j in range(len(turn) - 1, -1, -1):
+                if arm.supports[link, j] > 0.0:
+                    turn_point(arm.joint_screws[:, j], turned[j], start)
+                    turn_point(arm.joint_screws[:, j], turned[j], end)
+            distance = _distance(ellipsoids, link, start, end, step * TIME_STEP)
+            measured += 1
+            spare[link] = distance - CLEAR_DISTANCE
+            if distance < least[link]:
+                shortage += joints.weights[link] * (
+                    (CLEAR_DISTANCE - distance) ** 2 - (CLEAR_DISTANCE - least[link]) ** 2)
+                least[link] = distance
+        if shortage >= limit:
+            break
+    return shortage, measured
+
+
+@entry
+def best_turn(
+    arm: Links, ellipsoids: InflatedEllipsoids, joints: TurningJoints, velocities: Vector,
+    turns: Matrix, limit: float, budget: int,
+) -> Choice:
+    """Return the first turn that keeps clear, else the one that falls least short of that.
+
+    Args:
+        arm, ellipsoids: as they are now.
+        joints: which turn.
+        velocities: (k,) theirs now [rad/s, m/s].
+        turns: (t, k) [rad, m].
+        limit: turns that fall short by this much do not count [m²].
+        budget: no further turn is tried once so many distances have been looked at.
+    """
+    at_first = np.zeros(len(joints.weights))
+    for link in joints.links:
+        at_first[link] = _distance(
+            ellipsoids, link, arm.start[link], arm.end[link], 0.0) - CLEAR_DISTANCE
+    chosen, smallest, tried, spent = -1, limit, 0, 0
+    while tried < len(turns) and (tried == 0 or spent < budget):
+        shortage, measured = _shortage(
+            arm, ellipsoids, joints, velocities, turns[tried], at_first, smallest)
+        spent += measured * len(ellipsoids.speeds)
+        if shortage < smallest:
+            chosen, smallest = tried, shortage
+        # Nothing is better than a turn that falls short of nothing.
+        tried = tried + 1 if smallest > 0.0 else len(turns)
+    return Choice(chosen, smallest, tried, spent)

@@ -1,0 +1,87 @@
+"""Forward kinematics and Jacobians against closed forms and finite differences."""
+
+from __future__ import annotations
+
+from conftest import central_difference, LENGTHS, PANDA_READY, random_postures
+import numpy as np
+import pinocchio as pin
+
+
+def test_planar_arm_has_the_closed_form_kinematics(planar):
+    # x = Σ l_i cos(q_1 + … + q_i), y = Σ l_i sin(…), angle = Σ q_i
+    for q in random_postures(planar, 25):
+        angles = np.cumsum(q)
+        arm = planar.kinematics(q)
+        expected = [LENGTHS @ np.cos(angles), LENGTHS @ np.sin(angles), 0.0]
+        np.testing.assert_allclose(arm.tip_position, expected, atol=1e-12)
+        np.testing.assert_allclose(arm.tip_rotation[:2, 0],
+                                   [np.cos(angles[-1]), np.sin(angles[-1])], atol=1e-12)
+        joints = np.array([[np.cos(a), np.sin(a)] for a in angles]) * np.array(LENGTHS)[:, None]
+        np.testing.assert_allclose(planar.joint_points(q)[1:, :2], np.cumsum(joints, axis=0),
+                                   atol=1e-12)
+
+
+def test_paper_arm_is_where_the_paper_prints_it(paper_arm):
+    # DESIGN §2.1: the start and both columns of Table 1 reach the printed positions.
+    start = [0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0]
+    columns = ([0.1950, 0.1416, -0.1154, 0.3755, -0.6731, 0.9528, 0.0],
+               [0.1586, 0.09307, -0.1110, 0.3871, -0.598, 0.9956, 0.0])
+    assert np.linalg.norm(paper_arm.kinematics(start).tip_position - [0, 0.455, 0.930]) < 6e-4
+    for column in columns:
+        error = paper_arm.kinematics(column).tip_position - [-0.087, 0.305, 0.941]
+        assert np.abs(error).max() < 6e-4
+
+
+def test_paper_arm_has_the_reconstructed_kinematics(paper_arm):
+    for q in random_postures(paper_arm, 25):
+        d1, d2, t3, t4, t5, t6, _ = q
+        u = (0.390 + 0.275 * np.sin(t4) + 0.183 * np.sin(t4 + t5)
+             - 0.345 * np.cos(t4 + t5 + t6))
+        r = (0.110 + 0.275 * np.cos(t4) + 0.183 * np.cos(t4 + t5)
+             + 0.345 * np.sin(t4 + t5 + t6))
+        np.testing.assert_allclose(paper_arm.kinematics(q).tip_position,
+                                   [r * np.sin(t3), d2 + u, d1 + r * np.cos(t3)], atol=1e-12)
+
+
+def test_jacobians_match_finite_differences(robot):
+    for q in random_postures(robot, 20):
+        arm = robot.kinematics(q)
+        linear = central_difference(lambda p: robot.kinematics(p).tip_position, q)
+        turning = central_difference(
+            lambda p, at=arm: pin.log3(robot.kinematics(p).tip_rotation @ at.tip_rotation.T), q)
+        expected = np.vstack((linear, turning))
+        np.testing.assert_allclose(arm.tip_jacobian, expected, atol=1e-7)
+        if robot.command_frame == 'tool':
+            expected = np.vstack((arm.tip_rotation.T @ linear, arm.tip_rotation.T @ turning))
+        rows = robot.task_rows(np.arange(6)).astype(int)
+        np.testing.assert_allclose(arm.jacobian, expected[rows], atol=1e-7)
+
+
+def test_joint_screws_move_every_capsule_end(robot):
+    for q in random_postures(robot, 5):
+        arm = robot.kinematics(q)
+        for i in range(len(robot.capsules)):
+            for end in ('segment_start', 'segment_end'):
+                point = getattr(arm, end)[i]
+                expected = central_difference(
+                    lambda p, e=end, i=i: getattr(robot.kinematics(p), e)[i], q)
+                moves = arm.joint_screws[:3] + np.cross(arm.joint_screws[3:].T, point).T
+                np.testing.assert_allclose(moves * robot.supports[i], expected, atol=1e-7)
+
+
+def test_results_are_the_callers_to_keep(panda):
+    first = panda.kinematics(PANDA_READY)
+    kept = {name: np.array(value) for name, value in first._asdict().items()}
+    q = PANDA_READY + 0.3
+    panda.kinematics(q)
+    for name, value in kept.items():
+        np.testing.assert_array_equal(getattr(first, name), value)
+    np.testing.assert_array_equal(q, PANDA_READY + 0.3)
+
+
+def test_kinematics_of_many_postures_are_those_of_each(robot):
+    postures = random_postures(robot, 5)
+    together = robot.kinematics_along(postures)
+    for i, q in enumerate(postures):
+        for field, value in robot.kinematics(q)._asdict().items():
+            np.testing.assert_allclose(getattr(together, field)[i], value, atol=1e-12)
