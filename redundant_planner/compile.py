@@ -16,10 +16,10 @@ import time
 # Steps of two lanes each: modules that do not import each other.
 STEPS = (
     (('core.redundancy.null_space', 'core.robot.se3'),
-     ('core.robot.jacobian', 'core.robot.kinematics', 'core.obstacles.inflation')),
-    (('core.obstacles.clearance', 'core.obstacles.near_pairs'),
-     ('core.obstacles.self_collision', 'core.redundancy.criteria', 'core.safety.limits',
-      'core.safety.stopping', 'core.obstacles.motion_estimate', 'core.robot.model')),
+     ('core.robot.jacobian', 'core.robot.kinematics', 'core.obstacles.clearance')),
+    (('core.obstacles.near_pairs', 'core.redundancy.criteria'),
+     ('core.obstacles.self_collision', 'core.safety.limits', 'core.safety.stopping',
+      'core.obstacles.motion_estimate', 'core.robot.model')),
     (('core.horizon.path_qp', 'core.safety.qp', 'io.obstacle_tracker', 'io.preview_reader'),
      ('core.obstacles.evasion', 'core.obstacles.nearby', 'core.redundancy.reference',
       'core.safety.pace', 'core.safety.barriers')),

@@ -21,19 +21,20 @@ from scipy.spatial import ConvexHull, QhullError
 
 Array = npt.NDArray[np.float64]
 
-# A cut is worth another capsule when it saves this share of the volume, and this much of it; two
-# capsules become one when that costs no more than this share of their volumes, or no more than
-# this: every capsule costs time in every tick [m³].
-_WORTH_CUTTING = 0.25
-_WORTH_MERGING = 0.1
-_NEGLIGIBLE = 1e-4
-# Guesses this much larger than the best one are not worth being improved.
-_HOPELESS = 1.5
+# Every capsule costs time in every tick. A cut is worth another capsule when it saves this share
+# of the volume; two capsules become one when that adds no more than this share. Less volume than
+# the third [m³] never counts.
+_LEAST_SAVED_SHARE = 0.25
+_LARGEST_ADDED_SHARE = 0.1
+_NEGLIGIBLE_VOLUME = 1e-4
+# A rough guess this much larger than what is allowed is not worth being improved.
+_LARGEST_GUESS_RATIO = 1.5
 # Where cuts are tried, as shares of the body's extent.
-_CUTS = (0.3, 0.5, 0.7)
-_EVALUATIONS = 800
+_CUT_SHARES = (0.3, 0.5, 0.7)
+# Of the function that the search for the best axis minimises.
+_MOST_EVALUATIONS = 800
 # Bodies thinner than this have no hull with a volume [m].
-_FLAT = 1e-6
+_LEAST_THICKNESS = 1e-6
 
 
 class Shape(NamedTuple):
@@ -73,7 +74,7 @@ def convex_hull(points: Array) -> Body:
     """Return the hull of points (k, 3); a flat body keeps all its points."""
     points = np.unique(np.asarray(points, dtype=float), axis=0)
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if len(points) < 4 or spread[-1] < _FLAT:
+    if len(points) < 4 or spread[-1] < _LEAST_THICKNESS:
         return Body(points, np.empty((0, 2), dtype=np.intp), 0.0)
     try:
         hull = ConvexHull(points)
@@ -110,11 +111,11 @@ def fit_capsule(points: Array, *, improve: bool = True) -> Shape:
     guesses.sort(key=lambda guess: guess[0])
     volume, shape, frame, *_ = guesses[0]
     for guess, _, about, local, x in guesses if improve else ():
-        if guess > _HOPELESS * guesses[0][0]:
+        if guess > _LARGEST_GUESS_RATIO * guesses[0][0]:
             break
         found = minimize(
             lambda x, local=local: _capsule_about(local, x)[0], x, method='Nelder-Mead',
-            options={'maxfev': _EVALUATIONS, 'xatol': 1e-3, 'fatol': 1e-5})
+            options={'maxfev': _MOST_EVALUATIONS, 'xatol': 1e-3, 'fatol': 1e-5})
         if found.fun < volume:
             volume, shape = _capsule_about(local, found.x)
             frame = about
@@ -174,7 +175,7 @@ def fit_body(body: Body, most: int = 3) -> list[tuple[Shape, Array]]:
     best = whole.volume, (body.corners, body.corners[:0])
     for axis in _principal_axes(body.corners):
         heights = body.corners @ axis
-        for share in _CUTS:
+        for share in _CUT_SHARES:
             level = heights.min() + share * (heights.max() - heights.min())
             parts = _cut(body, axis, float(level))
             volume = sum(fit_capsule(part, improve=False).volume for part in parts)
@@ -192,7 +193,7 @@ def fit_body(body: Body, most: int = 3) -> list[tuple[Shape, Array]]:
 
 def _pays(cut: float, whole: float) -> bool:
     """Return whether a body is better covered in parts."""
-    return whole - cut > max(_WORTH_CUTTING * whole, _NEGLIGIBLE)
+    return whole - cut > max(_LEAST_SAVED_SHARE * whole, _NEGLIGIBLE_VOLUME)
 
 
 def _cut(body: Body, normal: Array, level: float) -> tuple[Array, Array]:
@@ -226,7 +227,7 @@ def merged(groups: Sequence[tuple[Shape, Array]]) -> list[tuple[Shape, Array, li
                     pair = min(i, j), max(i, j)
                     points = np.vstack((kept[pair[0]][1], kept[pair[1]][1]))
                     cost = fit_capsule(points, improve=False).volume
-                    if (excess := cost - _allowed(kept, pair) * _HOPELESS) < 0.0:
+                    if (excess := cost - _allowed(kept, pair) * _LARGEST_GUESS_RATIO) < 0.0:
                         guesses[pair] = excess
         if not guesses:
             return list(kept.values())
@@ -249,4 +250,4 @@ def merged(groups: Sequence[tuple[Shape, Array]]) -> list[tuple[Shape, Array, li
 def _allowed(kept: Mapping[int, tuple[Shape, Array, list[int]]], pair: tuple[int, int]) -> float:
     """Return the largest volume that may take the place of two capsules [m³]."""
     separate = sum(kept[i][0].volume for i in pair)
-    return separate + max(_WORTH_MERGING * separate, _NEGLIGIBLE)
+    return separate + max(_LARGEST_ADDED_SHARE * separate, _NEGLIGIBLE_VOLUME)

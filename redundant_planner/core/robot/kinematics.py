@@ -88,13 +88,15 @@ class Chain(NamedTuple):
     in_tool: bool
 
 
-@kernel
-def empty_kinematics(q: Vector, chain: Chain) -> Kinematics:
+def new_kinematics(q: Vector, m: int, links: int) -> Kinematics:
     """Return the arrays of an arm's kinematics, for `fill`; only the posture (n,) is in them."""
-    n, m, links = len(q), len(chain.rows), len(chain.capsule_joint)
+    n = len(q)
     return Kinematics(
         q.copy(), np.empty((6, n)), np.empty(3), np.empty((3, 3)), np.empty((6, n)),
         np.empty((m, n)), np.empty((links, 3)), np.empty((links, 3)))
+
+
+new_kinematics_compiled = kernel(new_kinematics)
 
 
 @kernel
@@ -151,13 +153,11 @@ def fill(
 
 
 @entry
-def kinematics_at(
-    q: Vector, screws: Matrix, rotations: Stack, positions: Matrix, chain: Chain,
-) -> Kinematics:
-    """Return the arm's kinematics at a posture (n,), see `fill`."""
-    arm = empty_kinematics(q, chain)
+def fill_kinematics(
+    screws: Matrix, rotations: Stack, positions: Matrix, chain: Chain, arm: Kinematics,
+) -> None:
+    """Do what `fill` does, for Python: handing arrays over is quicker than taking them back."""
     fill(screws, rotations, positions, chain, arm)
-    return arm
 
 
 @kernel

@@ -17,11 +17,12 @@ from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.joint_frames import JointFrames
 from redundant_planner.core.robot.kinematics import (
     Chain,
+    fill_kinematics,
     Kinematics,
     kinematics_along,
-    kinematics_at,
     KinematicsAlong,
     Links,
+    new_kinematics,
 )
 from redundant_planner.core.robot.pinocchio_model import (
     chain_joints,
@@ -183,7 +184,9 @@ class Robot:
             StateError: `q` does not have n finite entries.
         """
         q = self.checked_posture(q)
-        return kinematics_at(q, *self.joint_frames.at(q), self.chain)
+        arm = new_kinematics(q, self.m, len(self.capsules))
+        fill_kinematics(*self.joint_frames.at(q), self.chain, arm)
+        return arm
 
     def kinematics_along(self, postures: Array) -> KinematicsAlong:
         """Return the kinematics at every one of N postures (N, n): N leads every array."""
