@@ -102,7 +102,8 @@ def main() -> None:
                     lambda times: task.twist_at(middles(times)), DURATION, task.obstacles,
                     path_poses(robot, task, DT), {
                         'traditional': PlannerParameters(
-                            method='gradient_projection', k_fixed=0.02, k_w=1.0, k_f=0.0),
+                            method='gradient_projection', criteria_k_fixed=0.02,
+                            criteria_k_w=1.0, criteria_k_f=0.0),
                         **_OURS})
     print_table(f'A Panda, scenario {_PANDA_SEED} of the benchmark', robot, found)
     joint_curves(_FOLDER / 'horizon_panda.png', robot.joint_names, 'displacement [rad]',

@@ -18,10 +18,12 @@ STEPS = (
     (('core.redundancy.null_space', 'core.robot.se3'),
      ('core.robot.jacobian', 'core.obstacles.clearance')),
     (('core.redundancy.criteria', 'core.obstacles.self_collision', 'core.robot.model'),
-     ('core.obstacles.nearby', 'core.safety.safety_filter', 'core.safety.stopping')),
-    (('core.horizon.path_qp',),
-     ('core.obstacles.evasion', 'io.obstacle_tracker', 'io.preview_reader')),
-    (('core.planner',), ()),
+     ('core.obstacles.nearby', 'core.obstacles.motion_estimate', 'core.safety.limits',
+      'core.safety.stopping')),
+    (('core.horizon.path_qp', 'core.safety.qp', 'io.obstacle_tracker', 'io.preview_reader'),
+     ('core.obstacles.evasion', 'core.redundancy.reference', 'core.safety.pace',
+      'core.safety.barriers')),
+    (('core.tick',), ('core.planner',)),
 )
 
 

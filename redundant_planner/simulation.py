@@ -10,7 +10,9 @@ import numpy.typing as npt
 
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.obstacles.clearance import Scene
-from redundant_planner.core.planner import Planner, StepResult
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.step_result import StepResult
+from redundant_planner.paper.method import PaperPlanner
 
 Array = npt.NDArray[np.float64]
 
@@ -33,8 +35,8 @@ class Motion:
 
 
 def simulate(
-    planner: Planner, start: Array, twist_at: Callable[[float], Array], scene: Scene,
-    duration: float, dt: float, preview: TwistAhead | None = None,
+    planner: Planner | PaperPlanner, start: Array, twist_at: Callable[[float], Array],
+    scene: Scene, duration: float, dt: float, preview: TwistAhead | None = None,
 ) -> Motion:
     """Run the planner from rest at `start` for `duration`, one tick per `dt` [s].
 

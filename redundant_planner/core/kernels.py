@@ -11,18 +11,23 @@ control loop while it is being compiled. A wrong one is a TypeError instead.
 """
 
 from __future__ import annotations
+import __future__
 
+import ast
 from collections.abc import Callable, Iterator
 import contextlib
 from contextlib import contextmanager
+import copy
 import functools
 import hashlib
+import inspect
 import os
 from pathlib import Path
 import shutil
 import stat
 import sys
-from typing import Any, TypeVar, Union
+import textwrap
+from typing import Any, cast, TypeVar, Union
 import zlib
 
 import numba
@@ -65,23 +70,140 @@ def compiled(function: _Function) -> _Function:
     They are the names above, float, int, bool, NamedTuples of these, and `Fields` of such.
     Division by zero gives infinity or NaN, as in NumPy.
     """
-    return _compile(function, {})
+    return _compile(function, _argument_types(function), {})
 
 
 def kernel(function: _Function) -> _Function:
     """Compile a function, as `compiled`, that only compiled functions call.
 
-    What takes arguments over from Python is left out, which is a good part of the work.
+    It gets no code that takes arguments over from Python, which saves a good part of the work.
     """
-    return _compile(function, {'no_cpython_wrapper': True})
+    return _compile(function, _argument_types(function), {'no_cpython_wrapper': True})
 
 
-def _compile(function: _Function, options: dict[str, bool]) -> _Function:
+def entry(function: _Function) -> _Function:
+    """Compile a function, as `compiled`, that only Python calls, in every tick.
+
+    Numba takes a plain tuple over from Python in half the time that a NamedTuple needs. All
+    NamedTuples therefore cross over as plain tuples; both sides only see NamedTuples. These may
+    be arguments, the result, and fields of either.
+    """
     if numba.config.DISABLE_JIT:
         return function
-    arguments = tuple(
+    records = {name: _record(str(annotation), function.__globals__)
+               for name, annotation in function.__annotations__.items()}
+    result = records.pop('return', None)
+    inner = _compile(_unpacking(function, records, result),
+                     tuple(map(_plain_type, _argument_types(function))), {})
+    handed = ', '.join(_packed(name, record) for name, record in records.items())
+    returned = 'found' if result is None else _unpacked('found', result)
+    scope: dict[str, Any] = {'inner': inner, **_classes(result)}
+    exec(f'def call({", ".join(records)}):\n    found = inner({handed})\n    return {returned}',
+         scope)
+    return cast(_Function, functools.wraps(function)(scope['call']))
+
+
+def _plain_type(kind: types.Type) -> types.Type:
+    """Return the type of a plain tuple for that of a NamedTuple."""
+    if not isinstance(kind, types.BaseNamedTuple):
+        return kind
+    return types.Tuple(tuple(map(_plain_type, kind.types)))
+
+
+def _record(annotation: str, scope: dict[str, Any]) -> Any:
+    """Return the NamedTuple that an annotation names; None if it names something else."""
+    named = scope.get(annotation)
+    return named if hasattr(named, '_fields') else None
+
+
+def _fields_of(record: Any) -> dict[str, Any]:
+    """Return the fields of a NamedTuple, each with the NamedTuple that it holds or None."""
+    scope = vars(sys.modules[record.__module__])
+    return {name: _record(getattr(annotation, '__forward_arg__', str(annotation)), scope)
+            for name, annotation in record.__annotations__.items()}
+
+
+def _classes(record: Any) -> dict[str, Any]:
+    """Return a NamedTuple and all within it by name; none for None."""
+    if record is None:
+        return {}
+    return functools.reduce(
+        lambda found, inner: found | _classes(inner), _fields_of(record).values(),
+        {record.__name__: record})
+
+
+def _packed(value: str, record: Any) -> str:
+    """Return the expression that makes plain tuples of a NamedTuple and of those within it."""
+    if record is None:
+        return value
+    fields = _fields_of(record)
+    if not any(fields.values()):
+        return f'{value}[:]'
+    return '(' + ''.join(
+        f'{_packed(f"{value}.{name}", inner)}, ' for name, inner in fields.items()) + ')'
+
+
+def _unpacked(value: str, record: Any) -> str:
+    """Return the expression that makes a NamedTuple of the tuples that `_packed` made."""
+    fields = _fields_of(record)
+    if not any(fields.values()):
+        return f'{record.__name__}(*{value})'
+    parts = ', '.join(
+        _unpacked(f'{value}[{i}]', inner) if inner else f'{value}[{i}]'
+        for i, inner in enumerate(fields.values()))
+    return f'{record.__name__}({parts})'
+
+
+def _unpacking(function: Any, records: dict[str, Any], result: Any) -> Any:
+    """Return a function that takes plain tuples for its records, and returns plain tuples.
+
+    Its source gets the lines `arm = Kinematics(*arm)` that would otherwise stand in every such
+    function. It keeps its file and its line numbers: debuggers and Numba's cache go by them.
+    """
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    definition = tree.body[0]
+    assert isinstance(definition, ast.FunctionDef)
+    definition.decorator_list = []
+    if result is not None:
+        definition = _PlainReturns(result).visit(definition)
+    unpack = [f'{name} = {_unpacked(name, record)}' for name, record in records.items() if record]
+    first = 0 if ast.get_docstring(definition) is None else 1
+    definition.body[first:first] = ast.parse('\n'.join(unpack)).body
+    ast.fix_missing_locations(tree)
+    ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
+    scope: dict[str, Any] = {}
+    code = compile(tree, function.__code__.co_filename, 'exec', dont_inherit=True,
+                   flags=__future__.annotations.compiler_flag)
+    names = {cls.__name__: cls for record in records.values() for cls in _classes(record).values()}
+    exec(code, {**names, **function.__globals__}, scope)
+    return scope[function.__name__]
+
+
+class _PlainReturns(ast.NodeTransformer):
+    """Makes `return x` return the plain tuple of a NamedTuple x."""
+
+    def __init__(self, record: Any) -> None:
+        self._plain = ast.parse(f'returned = 0\nreturn {_packed("returned", record)}').body
+
+    def visit_Return(self, node: ast.Return) -> list[ast.stmt]:
+        assert node.value is not None
+        assignment, answer = copy.deepcopy(self._plain)
+        assert isinstance(assignment, ast.Assign)
+        assignment.value = node.value
+        return [ast.copy_location(assignment, node), ast.copy_location(answer, node)]
+
+
+def _argument_types(function: Callable[..., object]) -> tuple[types.Type, ...]:
+    return tuple(
         _argument_type(str(annotation), function.__globals__)
         for name, annotation in function.__annotations__.items() if name != 'return')
+
+
+def _compile(
+    function: _Function, arguments: tuple[types.Type, ...], options: dict[str, bool],
+) -> _Function:
+    if numba.config.DISABLE_JIT:
+        return function
     with _keeping() as kept:
         dispatcher = numba.njit(
             arguments, cache=kept, error_model='numpy', no_cfunc_wrapper=True, **options,

@@ -14,6 +14,7 @@ import yaml
 
 from redundant_planner.core.cache_folder import cache_folder
 from redundant_planner.core.errors import known, ParameterError
+from redundant_planner.core.parameters import ros_name, spec_of
 from redundant_planner.core.robot.model import Capsule, Robot
 from redundant_planner.core.robot.simulated_arm import joint_ranges
 from redundant_planner.core.robot.urdf import Joint, read_urdf
@@ -181,7 +182,8 @@ def parameter_file_text(
     """
     values: dict[str, Any] = {}
     for group in (parameters, *settings):
-        values |= {entry.name: getattr(group, entry.name) for entry in fields(group)}
+        values |= {ros_name(entry): getattr(group, entry.name) for entry in fields(group)
+                   if spec_of(entry).node}
     values |= {'urdf': '', 'robot_description': robot.urdf,
                'capsules': [c.name for c in robot.capsules],
                'capsule': {c.name: capsule_entry(c) for c in robot.capsules},

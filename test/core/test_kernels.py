@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 import subprocess
 import sys
+from typing import NamedTuple
 
 from conftest import make_panda, PANDA_READY
 import numpy as np
@@ -19,6 +20,7 @@ from redundant_planner.core.kernels import (
     _private,
     compiled,
     drop_damaged,
+    entry,
     Fields,
     Matrix,
     OutVector,
@@ -36,7 +38,7 @@ def motion(method: str) -> list[list[float]]:
     """Joint velocities of an arm that runs into an obstacle, limits and its own braking."""
     robot = make_panda()
     planner = Planner(robot, PlannerParameters(
-        method=method, horizon_nodes=4, influence_distance=0.4))
+        method=method, horizon_nodes=4, clearance_influence_distance=0.4))
     scene = Scene.of([
         Obstacle('ball', np.array([0.45, 0.05, 0.45]), np.array([0.05, 0.04, 0.08])),
         Obstacle('other', np.array([0.3, -0.4, 0.6]), np.full(3, 0.1), velocity=(0.1, 0.2, 0))])
@@ -72,6 +74,37 @@ def test_a_wrong_type_is_an_error_and_never_compiled_for():
     for wrong in (np.arange(3), np.zeros((2, 2)), [1.0]):
         with pytest.raises(TypeError):
             total(wrong)
+
+
+class Halves(NamedTuple):
+    first: Vector
+    second: Vector
+
+
+class Split(NamedTuple):
+    halves: Halves
+    total: float
+
+
+def test_records_cross_over_to_an_entry_and_back():
+    @entry
+    def split(pair: Halves, share: float) -> Split:
+        """Take a share of both."""
+        if share == 1.0:
+            return Split(pair, pair.first.sum() + pair.second.sum())
+        halves = Halves(share * pair.first, share * pair.second)
+        return Split(halves, halves.first.sum() + halves.second.sum())
+
+    pair = Halves(np.arange(3.0), np.ones(3))
+    for share in (1.0, 0.5):
+        found = split(pair, share)
+        assert isinstance(found, Split) and isinstance(found.halves, Halves)
+        np.testing.assert_array_equal(found.halves, share * np.array(pair))
+        assert found.total == split(pair=pair, share=share).total == share * 6.0
+    assert split.__doc__ == 'Take a share of both.'
+    for wrong in ((pair, np.ones(1)), (Halves(np.arange(3), np.ones(3)), 1.0)):
+        with pytest.raises(TypeError):
+            split(*wrong)
 
 
 def test_tuples_go_in_as_their_fields_and_arrays_can_be_filled():

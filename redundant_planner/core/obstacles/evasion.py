@@ -96,11 +96,11 @@ class Evasion:
 
     def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
         """Prepare for an arm, and what is to be kept from obstacles."""
-        self._horizon = parameters.evasion_horizon
-        self._margin, self._lead = parameters.clearance_margin, parameters.obstacle_lead
+        self._horizon = parameters.clearance_evasion_horizon
+        self._margin, self._lead = parameters.clearance_margin, parameters.clearance_lead
         count = min(_TURNED, robot.n)
-        self._position_min = robot.position_min[:count] + parameters.position_margin
-        self._position_max = robot.position_max[:count] - parameters.position_margin
+        self._position_min = robot.position_min[:count] + parameters.limits_position_margin
+        self._position_max = robot.position_max[:count] - parameters.limits_position_margin
         moved_by = (robot.moves > 0.0).sum(axis=1)
         joints = _Joints(
             _SPEED * robot.velocity_max[:count], _ACCELERATION * robot.acceleration_max[:count],
