@@ -43,7 +43,7 @@ _HOLDS = {
 }
 # Left and lower edge of each room's box. A room may import those that stand lower.
 _PLACES = {
-    'tools': (1.5, 6.9), 'nodes': (0.15, 6.0), 'paper': (2.85, 6.0),
+    'tools': (1.5, 6.9), 'nodes': (0.15, 6.0), 'paper': (2.85, 5.6),
     'analysis': (1.5, 5.1), 'simulation.py': (2.85, 4.2), 'io': (0.85, 4.2),
     'core': (1.5, 3.0), 'core/horizon': (0.85, 2.1), 'core/safety': (2.85, 2.1),
     'core/obstacles': (0.15, 1.2), 'core/redundancy': (1.7, 1.2), 'core/robot': (0.85, 0.3),
@@ -53,7 +53,7 @@ _CORE_FRAME = (0.0, 0.12, 3.9, 3.62)
 _WIDTH, _HEIGHT = 0.9, 0.52
 _CORE, _OUTER, _INK, _ARROW, _UPWARD = '#dbe9f4', '#f3e9dc', '#22303c', '#5c6f80', '#e63946'
 # What every room may use.
-_COMMON = tuple(f'{PACKAGE}.core.{name}' for name in ('kernels', 'errors', 'numbers',
+_COMMON = tuple(f'{PACKAGE}.core.{name}' for name in ('kernels', 'errors', 'numbers', 'constants',
                                                       'parameters'))
 
 
@@ -106,10 +106,10 @@ def page_with(page: str, imports: Mapping[str, tuple[str, ...]]) -> str:
 
 
 def drawn_arrows(imports: Mapping[str, tuple[str, ...]]) -> list[tuple[str, str]]:
-    """Return the imports that are drawn: all that lead upwards, and downwards the direct ones.
+    """Return the imports that are drawn.
 
-    An import from a room outside the core is one of the core as a whole, and an import that
-    follows from two others is left out.
+    An import from a room outside the core is one of the core as a whole. Left out are imports
+    into the core, within it and by the tools that follow from others.
     """
     pairs = set()
     for room, others in imports.items():
@@ -121,8 +121,9 @@ def drawn_arrows(imports: Mapping[str, tuple[str, ...]]) -> list[tuple[str, str]
     reached = dict(below)
     for room in sorted(_PLACES, key=lambda r: _PLACES[r][1]):
         reached[room] = below[room].union(*(reached[b] for b in below[room]))
-    direct = {(a, b) for a, b in down if not any(b in reached[c] for c in below[a] - {b})}
-    return sorted(direct | (pairs - down))
+    hidden = {(a, b) for a, b in down if any(b in reached[c] for c in below[a] - {b})
+              and (a == 'tools' or a.startswith('core') or b == 'core')}
+    return sorted(pairs - hidden)
 
 
 def draw(path: Path, imports: Mapping[str, tuple[str, ...]]) -> None:
@@ -178,7 +179,11 @@ def _arrow(axes: Any, room: str, other: str) -> None:
     shift = 0.25 * max(-1.0, min(1.0, end[0] - begin[0])) + (0.0 if down else 0.2)
     start = (begin[0] + (0.5 + shift) * _WIDTH, begin[1] + (0.0 if down else _HEIGHT))
     stop = (end[0] + (0.5 - shift) * _WIDTH, end[1] + (_HEIGHT if down else 0.0))
-    if other == 'core':
+    if begin[1] == end[1]:
+        right = end[0] > begin[0]
+        start = (begin[0] + (_WIDTH if right else 0.0), begin[1] + 0.3 * _HEIGHT)
+        stop = (end[0] + (0.0 if right else _WIDTH), end[1] + 0.3 * _HEIGHT)
+    if other == 'core' and not room.startswith('core'):
         stop = (start[0], _CORE_FRAME[1] + _CORE_FRAME[3])
     axes.add_patch(FancyArrowPatch(
         start, stop, arrowstyle='-|>', mutation_scale=12, color=_ARROW if down else _UPWARD,
