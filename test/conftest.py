@@ -64,7 +64,7 @@ def make_panda(**changes) -> Robot:
 
 
 def make_planar(**options) -> Robot:
-    return Robot(planar_urdf(), 'tip', **{'axes': ('vx', 'vy'), **options})
+    return Robot(planar_urdf(), 'tip', **{'axes': ('vx', 'vy'), 'link_radius': 0.0, **options})
 
 
 MAKERS = {

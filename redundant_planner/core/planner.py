@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import gains_of, joint_weights, limits_of, robot_constants
 from redundant_planner.core.errors import known, ParameterError, StateError
-from redundant_planner.core.horizon.preview import TwistAhead
+from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.kernels import compiled, OutVector, Vector
 from redundant_planner.core.obstacles.clearance import pseudo_distance, Scene
 from redundant_planner.core.obstacles.evasion import Evasion, NO_TURN, Turn
@@ -131,7 +131,8 @@ class Planner:
         self._watch.prepare(scene, self._last.dq)
 
     def step(
-        self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
+        self, q: Array, twist: Array, scene: Scene, dt: float,
+        ahead: Preview | TwistAhead | None = None,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`.
 
@@ -141,9 +142,10 @@ class Planner:
                 that are not controlled do not count.
             scene: the obstacles. Pass the same object while nothing changes.
             dt: time until the next tick [s].
-            ahead: the command ahead, times from now (N + 1,) [s] → mean twists (N, 6) from each
-                to the next, for the joint path ahead. None if only the present command is known,
-                which is then held.
+            ahead: what will be commanded, for the joint path ahead: a preview that starts now
+                (`Preview.ahead` for one that started earlier), or a function of times from now
+                (N + 1,) [s] that returns the mean twists (N, 6) from each to the next. Without
+                it the planner takes the present command as held.
 
         Raises:
             StateError: `q` or `twist` does not fit the robot, or `dt` is not positive.
@@ -157,7 +159,8 @@ class Planner:
         # Aim: out of the course of what moves, and along the joint path ahead.
         start = Start(arm, last.reference or pose, command, last.dq, dt)
         turn = self._turn(start, around)
-        path = self._look_ahead.velocity(start, around.ahead, ahead, self._evasion.spent)
+        twists = ahead.between if isinstance(ahead, Preview) else ahead
+        path = self._look_ahead.velocity(start, around.ahead, twists, self._evasion.spent)
 
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(

@@ -33,8 +33,8 @@ from redundant_planner.paper.method import PaperPlanner, planner_of
 Array = npt.NDArray[np.float64]
 
 _NO_TWIST = np.zeros(6)
-# A measured posture that jumps by more than this beyond what the arm can travel, or that is further
-# from the commanded one, starts everything again from the measured posture [rad, m].
+# A measured posture that jumps by more than this beyond what the arm can travel, or is so far from
+# the commanded one, starts everything again from the measured posture [rad, m].
 _JUMP = 0.1
 
 
@@ -55,8 +55,8 @@ class ControlLoop:
     """
 
     def __init__(
-        self, planner: Planner | PaperPlanner, settings: PlannerNodeParameters, *, clock: LoopClock,
-        command: CommandInput, obstacles: ObstacleInput, output: CommandOutput,
+        self, planner: Planner | PaperPlanner, settings: PlannerNodeParameters, *,
+        clock: LoopClock, command: CommandInput, obstacles: ObstacleInput, output: CommandOutput,
         last_word: LastWord, guard: Guard, warn: Callable[[str], None],
         publish_tick: Callable[[array.array[float]], None] | None,
     ) -> None:

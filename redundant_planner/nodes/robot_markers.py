@@ -12,8 +12,8 @@ import pinocchio as pin
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.obstacles.clearance import Scene, surface_point
-from redundant_planner.core.planner import Nearest
 from redundant_planner.core.robot.model import Kinematics, Robot
+from redundant_planner.core.step_result import Nearest
 
 Array = npt.NDArray[np.float64]
 

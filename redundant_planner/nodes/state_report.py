@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.step_result import Nearest, StepResult
 
 Array = npt.NDArray[np.float64]

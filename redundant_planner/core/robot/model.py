@@ -44,9 +44,9 @@ _MOST_CAPSULES = 500
 _SLOWEST, _FASTEST = 1e-6, 1e6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Capsule:
-    """A link's shape: every point within `radius` of a segment.
+    """A link's shape: every point within `radius` of a segment. Its arrays are read-only.
 
     Attributes:
         name: what messages call it; usually the link's name.
@@ -62,25 +62,29 @@ class Capsule:
     end: Array
     radius: float
 
-    def __post_init__(self) -> None:
-        """Check the numbers and make the arrays read-only.
+    def __init__(
+        self, name: str, frame: str, start: npt.ArrayLike, end: npt.ArrayLike, radius: float,
+    ) -> None:
+        """Check the numbers; the class says what they are.
 
         Raises:
             ObstacleError: an end point is not three finite numbers, or the radius is negative.
         """
-        for field in ('start', 'end'):
-            point = floats_of(getattr(self, field))
+        object.__setattr__(self, 'name', name)
+        object.__setattr__(self, 'frame', frame)
+        for field, given in (('start', start), ('end', end)):
+            point = floats_of(given)
             if point.shape != (3,) or not (np.abs(point) <= LARGEST).all():
                 raise ObstacleError(
-                    f"capsule '{self.name}': {field} is {shown(getattr(self, field))}; it takes "
-                    f'three coordinates within ±{LARGEST:g} [m]')
+                    f"capsule '{name}': {field} is {shown(given)}; it takes three coordinates "
+                    f'within ±{LARGEST:g} [m]')
             point.setflags(write=False)
             object.__setattr__(self, field, point)
-        radius = floats_of(self.radius)
-        if radius.shape != () or not 0.0 <= radius <= LARGEST:
-            raise ObstacleError(f"capsule '{self.name}': radius is {shown(self.radius)}; it must "
-                                f'lie in [0, {LARGEST:g}] [m]')
-        object.__setattr__(self, 'radius', float(radius))
+        thickness = floats_of(radius)
+        if thickness.shape != () or not 0.0 <= thickness <= LARGEST:
+            raise ObstacleError(f"capsule '{name}': radius is {shown(radius)}; it must lie in "
+                                f'[0, {LARGEST:g}] [m]')
+        object.__setattr__(self, 'radius', float(thickness))
 
 
 class Kinematics(NamedTuple):
@@ -141,7 +145,7 @@ class Robot:
         velocity_max: Sequence[float] | float | None = None,
         acceleration_max: Sequence[float] | float = 5.0,
         capsules: Sequence[Capsule] | None = None,
-        link_radius: float = 0.0,
+        link_radius: float | None = None,
     ) -> None:
         """Read the chain from a URDF.
 
@@ -157,13 +161,14 @@ class Robot:
             command_frame: 'base' or 'tool', see the class.
             velocity_max: replaces the URDF's velocity limits, one value or n [rad/s, m/s].
             acceleration_max: one value or n [rad/s², m/s²] (a URDF has none).
-            capsules: the link shapes; without them, straight capsules from each joint origin
-                to the next with radius `link_radius` [m].
-            link_radius: see `capsules`.
+            capsules: the link shapes; an empty list leaves every link unprotected.
+            link_radius: where `capsules` is None, the radius of straight capsules from each
+                joint origin to the next [m]; 0 for bare lines.
 
         Raises:
             RobotError: the URDF is malformed, a name is unknown, the frames do not form a
-                chain, or a limit or axis makes no sense.
+                chain, a limit or axis makes no sense, or neither `capsules` nor `link_radius`
+                is given.
             ObstacleError: a capsule is not a valid shape.
         """
         self.urdf = urdf
@@ -337,11 +342,14 @@ class Robot:
                     f'{_FASTEST:g}] (give it as a parameter where the URDF has none)')
         return _read_only(limits)
 
-    def _default_capsules(self, radius: float) -> list[Capsule]:
+    def _default_capsules(self, radius: float | None) -> list[Capsule]:
         """Straight capsules between consecutive joint origins, the last one to the tip.
 
         Joints that share an origin have no link between them and get none without a radius.
         """
+        if radius is None:
+            raise RobotError("the links have no shapes: give 'capsules', or 'link_radius' for "
+                             'straight ones [m], 0 for bare lines')
         tip = self._model.frames[self._tip_id]
         ends = [self._model.jointPlacements[i + 1].translation for i in range(1, self.n)]
         ends.append(tip.placement.translation)
