@@ -61,6 +61,13 @@ def test_the_docs_refer_to_nothing_that_users_do_not_have(page):
     assert 'DESIGN' not in page.read_text() and 'REVIEW' not in page.read_text()
 
 
+def test_the_ten_lines_are_those_of_the_first_example():
+    shown = re.search(r'```python\n(.*?)```', (TOP / 'README.md').read_text(), flags=re.S)
+    assert shown is not None
+    example = (TOP / 'examples' / '01_follow_a_twist.py').read_text()
+    assert example.endswith(shown.group(1))
+
+
 def test_versions_agree():
     import redundant_planner
     version = redundant_planner.__version__
