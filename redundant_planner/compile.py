@@ -9,8 +9,8 @@ earlier step.
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from importlib import import_module
+import multiprocessing
 import time
 
 # Steps of two lanes each: modules that do not import each other.
@@ -19,7 +19,7 @@ STEPS = (
      ('core.robot.jacobian', 'core.robot.kinematics', 'core.obstacles.clearance')),
     (('core.obstacles.near_pairs', 'core.redundancy.criteria'),
      ('core.obstacles.self_collision', 'core.safety.limits', 'core.safety.qp',
-      'core.safety.stopping', 'core.obstacles.motion_estimate', 'core.robot.model')),
+      'core.safety.position_command', 'core.obstacles.motion_estimate', 'core.robot.model')),
     (('core.obstacles.evasion', 'core.safety.barriers'),
      ('core.redundancy.reference', 'core.safety.pace', 'core.obstacles.nearby',
       'io.obstacle_tracker', 'io.preview_reader')),
@@ -32,17 +32,26 @@ def main() -> int:
     """Compile everything; return the process's exit status."""
     begin = time.monotonic()
     print('compiling the mathematics of redundant_planner', flush=True)
+    # The children inherit the libraries, which take seconds to load.
+    for library in ('daqp', 'numba', 'pinocchio', 'scipy.spatial'):
+        import_module(library)
+    forked = multiprocessing.get_context('fork')
     for lanes in STEPS:
-        children = [subprocess.Popen(
-            [sys.executable, '-c', '\n'.join(f'import redundant_planner.{name}' for name in lane)],
-            stderr=subprocess.PIPE, text=True) for lane in lanes if lane]
+        children = [forked.Process(target=_compile, args=(lane,)) for lane in lanes if lane]
         for child in children:
-            _, errors = child.communicate()
-            if child.returncode:
-                print(errors, file=sys.stderr, end='')
-                return child.returncode
+            child.start()
+        for child in children:
+            child.join()
+        if any(child.exitcode for child in children):
+            return 1
     print(f'done after {time.monotonic() - begin:.0f} s')
     return 0
+
+
+def _compile(lane: tuple[str, ...]) -> None:
+    """Compile modules in a process of its own, where errors are printed."""
+    for module in lane:
+        import_module(f'redundant_planner.{module}')
 
 
 if __name__ == '__main__':

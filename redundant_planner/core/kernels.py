@@ -15,27 +15,21 @@ import __future__
 
 import ast
 from collections.abc import Callable, Iterator
-import contextlib
 from contextlib import contextmanager
 import copy
 import functools
-import hashlib
 import inspect
-import os
 from pathlib import Path
-import shutil
-import stat
 import sys
 import textwrap
-from typing import Any, cast, TypeVar, Union
-import zlib
+from typing import Any, cast, TypeVar
 
 import numba
 from numba import types
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.cache_folder import cache_folder
+from redundant_planner.core.machine_code_cache import machine_code_folder, seal
 
 # Arrays of 1, 2, 3 and 4 dimensions. As arguments in any order and read-only or not; as fields
 # of a NamedTuple C-ordered and writeable.
@@ -57,17 +51,13 @@ _ARRAYS = {
     'OutStack': (types.float64, 3)}
 _SCALARS = {'float': types.float64, 'int': types.intp, 'bool': types.boolean}
 
-_Tuple = TypeVar('_Tuple')
-# A NamedTuple, handed over as the plain tuple of its fields: Numba takes those in half the time.
-Fields = Union[_Tuple, tuple[Any, ...]]  # noqa: UP007
-
 _Function = TypeVar('_Function', bound=Callable[..., object])
 
 
 def compiled(function: _Function) -> _Function:
     """Compile a function for the argument types that its annotations name.
 
-    They are the names above, float, int, bool, NamedTuples of these, and `Fields` of such.
+    They are the names above, float, int, bool, and NamedTuples of these.
     Division by zero gives infinity or NaN, as in NumPy.
     """
     return _compile(function, _argument_types(function), {})
@@ -231,9 +221,6 @@ def _argument_type(name: str, scope: dict[str, object]) -> types.Type:
     if name in _ARRAYS:
         dtype, dimensions = _ARRAYS[name]
         return types.Array(dtype, dimensions, 'A', readonly=not name.startswith('Out'))
-    if name.startswith('Fields['):
-        plain = _tuple_type(scope[name[len('Fields['):-1]])
-        return types.Tuple(plain.types)
     return _tuple_type(scope[name])
 
 
@@ -258,70 +245,9 @@ def _keeping() -> Iterator[bool]:
     Numba tells by a function's own file whether its machine code is still good. Ours call each
     other across files, so the folder's name stands for all of them.
     """
-    before, folder = numba.config.CACHE_DIR, _folder()
+    before, folder = numba.config.CACHE_DIR, machine_code_folder(numba.config.CACHE_DIR)
     numba.config.CACHE_DIR = str(folder or '')
     try:
         yield folder is not None
     finally:
         numba.config.CACHE_DIR = before
-
-
-@functools.cache
-def _folder() -> Path | None:
-    """Return this version's folder, with nothing in it that is damaged; None if there is none."""
-    here = Path(__file__).parent
-    sources = b''.join(path.read_bytes() for path in sorted(here.rglob('*.py')))
-    name = f'compiled-{zlib.crc32(sources):08x}'
-    beside = here / '__pycache__'
-    # Nobody else keeps anything here: what is left is of other versions.
-    for other in beside.glob('compiled-*'):
-        if other.name != name:
-            shutil.rmtree(other, ignore_errors=True)
-    # NUMBA_CACHE_DIR is somebody's wish.
-    wished = [Path(numba.config.CACHE_DIR)] if numba.config.CACHE_DIR else []
-    for parent in (*wished, beside, cache_folder()):
-        if parent is not None and _private(parent / name):
-            drop_damaged(parent / name)
-            return parent / name
-    return None
-
-
-def _private(folder: Path) -> bool:
-    """Make a folder; return whether it is there and nobody but this user can write to it."""
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        status = folder.stat()
-    except OSError:
-        return False
-    return (status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-            and os.access(folder, os.W_OK))
-
-
-# Numba runs whatever it finds in its files. Beside each of them lies its checksum.
-_SEAL = '.sum'
-_KEPT = ('*.nbi', '*.nbc')
-
-
-def seal(folder: Path, part: str) -> None:
-    """Write the checksums of a folder's files that have `part` in their name."""
-    for file in (file for kind in _KEPT for file in folder.glob(kind) if part in file.name):
-        with contextlib.suppress(OSError):  # another process has just replaced it
-            beside = file.with_name(f'{file.name}{_SEAL}.{os.getpid()}')
-            beside.write_text(_checksum(file))
-            beside.replace(file.with_name(file.name + _SEAL))
-
-
-def drop_damaged(folder: Path) -> None:
-    """Delete the files below a folder that are not as they were written: cut, empty, altered."""
-    for file in (file for kind in _KEPT for file in folder.rglob(kind)):
-        try:
-            sound = file.with_name(file.name + _SEAL).read_text() == _checksum(file)
-        except (OSError, ValueError):
-            sound = False
-        if not sound:
-            with contextlib.suppress(OSError):
-                file.unlink()
-
-
-def _checksum(file: Path) -> str:
-    return hashlib.blake2b(file.read_bytes()).hexdigest()

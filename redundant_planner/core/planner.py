@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import gains_of, joint_weights, limits_of, robot_constants
 from redundant_planner.core.errors import known, ParameterError, StateError
+from redundant_planner.core.horizon.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.kernels import compiled, OutVector, Vector
 from redundant_planner.core.obstacles.clearance import pseudo_distance
@@ -22,7 +23,6 @@ from redundant_planner.core.obstacles.nearby import Surroundings
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
-from redundant_planner.core.redundancy.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.redundancy.reference import followed_pose, Start
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -38,6 +38,8 @@ Array = npt.NDArray[np.float64]
 _ABSURD = 1e100
 # A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
 _STANDSTILL = 1e-12
+# A tick in which evasion looks at more distances has no time to improve the joint path ahead.
+_MANY_DISTANCES = 3000
 
 
 class _LastTick(NamedTuple):
@@ -161,7 +163,7 @@ class Planner:
         start = Start(arm, last.reference or pose, command, last.dq, dt)
         turn = self._turn(start, around)
         twists = ahead.between if isinstance(ahead, Preview) else ahead
-        path = self._look_ahead.velocity(start, around.ahead, twists, self._evasion.spent)
+        path = self._look_ahead.velocity(start, around.ahead, twists, self._busy)
 
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(
@@ -191,6 +193,11 @@ class Planner:
             result.scale, result.stage, '; '.join(filter(None, (*fallbacks, reason))),
             '; '.join(fallbacks), desired.clearance_index, self._nearest(desired, around),
             desired.manipulability, pose, task.error)
+
+    @property
+    def _busy(self) -> bool:
+        """Whether this tick has no time to improve the joint path ahead."""
+        return self._watch.chose or self._evasion.spent > _MANY_DISTANCES
 
     def _checked_command(self, twist: Array, dt: float) -> tuple[Array, bool]:
         """Return the controlled part of the twist, no faster than the speed limits.

@@ -14,7 +14,7 @@ from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import se3
 from redundant_planner.core.safety.limits import braked
-from redundant_planner.core.safety.stopping import PositionCommand
+from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.nodes.command_input import CommandInput

@@ -30,7 +30,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from redundant_planner.core.safety.limits import braked
-from redundant_planner.core.safety.stopping import PositionCommand
+from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.nodes import runtime
 from redundant_planner.nodes.command_output import CommandOutput
 

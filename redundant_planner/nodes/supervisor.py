@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.safety.stopping import has_jumped
+from redundant_planner.core.safety.position_command import has_jumped
 
 Array = npt.NDArray[np.float64]
 

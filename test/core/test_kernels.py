@@ -16,17 +16,8 @@ import pytest
 
 import redundant_planner
 from redundant_planner import compile
-from redundant_planner.core.kernels import (
-    _private,
-    compiled,
-    drop_damaged,
-    entry,
-    Fields,
-    Matrix,
-    OutVector,
-    seal,
-    Vector,
-)
+from redundant_planner.core.kernels import compiled, entry, Matrix, OutVector, Vector
+from redundant_planner.core.machine_code_cache import drop_damaged, is_private, seal
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import LinkPairs
@@ -107,17 +98,16 @@ def test_records_cross_over_to_an_entry_and_back():
             split(*wrong)
 
 
-def test_tuples_go_in_as_their_fields_and_arrays_can_be_filled():
+def test_records_go_into_compiled_functions_and_arrays_can_be_filled():
     @compiled
-    def fill(pairs: Fields[LinkPairs], weights: Matrix, result: OutVector) -> float:
-        pairs = LinkPairs(*pairs)
+    def fill(pairs: LinkPairs, weights: Matrix, result: OutVector) -> float:
         for i in range(len(result)):
             result[i] = weights[i, 0] * pairs.distance[i] + pairs.points[i, 0, 0]
         return 1.0 / weights[0, 1]
 
     result = np.empty(2)
-    assert fill((np.array([1.0, 2.0]), np.ones((2, 2, 3))), np.array([[2.0, 0.0], [3.0, 0.0]]),
-                result) == np.inf
+    assert fill(LinkPairs(np.array([1.0, 2.0]), np.ones((2, 2, 3))),
+                np.array([[2.0, 0.0], [3.0, 0.0]]), result) == np.inf
     np.testing.assert_array_equal(result, [3.0, 7.0])
 
 
@@ -171,11 +161,11 @@ def test_a_start_with_damaged_machine_code_compiles_it_anew(tmp_path):
 def test_machine_code_that_others_can_write_is_not_loaded(tmp_path, mode):
     folder = tmp_path / 'kept'
     folder.mkdir()
-    assert _private(folder)
+    assert is_private(folder)
     folder.chmod(mode)
-    assert not _private(folder)
+    assert not is_private(folder)
     (tmp_path / 'file').touch()
-    assert not _private(tmp_path / 'file' / 'below')
+    assert not is_private(tmp_path / 'file' / 'below')
 
 
 def test_compile_knows_every_module_with_compiled_functions():

@@ -23,6 +23,7 @@ class ObstacleWatch:
 
     Attributes:
         fastest: speed of the scene's fastest obstacle [m/s].
+        chose: whether this tick, or `prepare` before it, had to choose from many obstacles.
     """
 
     def __init__(
@@ -40,6 +41,7 @@ class ObstacleWatch:
     def reset(self) -> None:
         """Forget what was chosen, and for which posture."""
         self._around: Surroundings | None = None
+        self.chose = self._prepared = False
         # Of the last tick: where the arm was, and the tick's length.
         self._last: tuple[Kinematics, float] | None = None
 
@@ -52,6 +54,7 @@ class ObstacleWatch:
         if self._last is not None:
             arm, dt = self._last
             self._surroundings(scene, arm, previous, dt)
+            self._prepared = self.chose
 
     def look(self, scene: Scene, arm: Kinematics, previous: Array, dt: float) -> Surroundings:
         """Return the obstacles that can matter, for links with the clearance margin.
@@ -64,12 +67,14 @@ class ObstacleWatch:
         """
         self.prepare(scene, previous)
         self._last = arm, dt
-        return self._surroundings(scene, arm, previous, dt)
+        around = self._surroundings(scene, arm, previous, dt)
+        self.chose, self._prepared = self.chose or self._prepared, False
+        return around
 
     def _surroundings(
         self, scene: Scene, arm: Kinematics, previous: Array, dt: float,
     ) -> Surroundings:
-        around = self._around
+        around, self.chose = self._around, False
         if around is not None and around.scene is scene and around.complete:
             return around
         if len(scene.names) < FEW:
@@ -77,6 +82,7 @@ class ObstacleWatch:
             return self._around
         near = reach(previous, self.fastest, self._constants, self._gains, dt)
         if around is None or not around.hold(scene, arm.q, self._robot.lever_arm_bounds, near):
+            self.chose = True
             self._around = around = surroundings(
                 scene, self._radii, self._lead, arm, near, self._course)
         return around

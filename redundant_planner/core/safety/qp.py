@@ -34,8 +34,8 @@ _PRICE_RESIDUAL_STRICT = 1e8
 _UNBOUNDED = 1e30
 # Multipliers below this are round-off, not a constraint that acts.
 _ACTIVE = 1e-9
-# Iterations that a stage may take: ten times what hard scenes need. Then the next stage is tried.
-MOST_ITERATIONS = 150
+# Iterations that a stage may take: five times what hard scenes need. Then the next stage is tried.
+MOST_ITERATIONS = 80
 _SOLVED, _OUT_OF_ITERATIONS = 1, -4
 _EQUALITY = 5
 

@@ -9,7 +9,7 @@ import pytest
 
 from redundant_planner.core.errors import RobotError
 from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
-from redundant_planner.core.safety.stopping import has_jumped, PositionCommand
+from redundant_planner.core.safety.position_command import has_jumped, PositionCommand
 
 
 def make_arm(**start):

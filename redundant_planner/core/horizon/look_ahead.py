@@ -30,8 +30,8 @@ _TREND = 0.1
 _PLANNING_PERIOD = 0.003
 # No joint path is planned among more obstacles than this.
 MOST_OBSTACLES = 50
-# A tick in which evasion has looked at so many distances has no time to improve the path.
-_BUSY = 7500
+# A tick with other work to do leaves the path as it is, unless it is older than this [s].
+_OLDEST_PATH = 0.04
 # A command smaller than this is none, as to how it grows [squared m/s, rad/s].
 _NO_SPEED = 1e-24
 # How long dynamic_factor takes to switch to the joint path ahead, and back [s]; and the share of
@@ -76,7 +76,7 @@ class LookAhead:
 
     def velocity(
         self, start: Start, ellipsoids: InflatedEllipsoids, ahead: TwistAhead | None,
-        evasion_work: int,
+        busy: bool,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
 
@@ -84,7 +84,7 @@ class LookAhead:
             start: of the tick.
             ellipsoids: the nearest obstacles.
             ahead: see `Planner.step`.
-            evasion_work: how many distances evasion has looked at in this tick.
+            busy: whether the tick has other work to do that takes long.
         """
         if self.guided == 0.0:
             return None
@@ -92,7 +92,7 @@ class LookAhead:
             return np.zeros(self._robot.n)
         self._age += start.dt
         if self._velocity is not None and (
-                self._age < _PLANNING_PERIOD or evasion_work > _BUSY):
+                self._age < _PLANNING_PERIOD or (busy and self._age < _OLDEST_PATH)):
             return self._velocity
         elapsed, self._age = self._age, 0.0
         growth = self._growth_of(start.command, elapsed)
