@@ -266,6 +266,7 @@ def test_grouped_names_count_wherever_they_are_given(tmp_path):
                 ('k_s', 9.0, 'undeclared')):
             result = set_parameter(ros, name, value)
             assert not result.successful and reason in result.reason, (name, result.reason)
+        ros.wait_for(lambda: configuration(ros)['criteria.k_s'] == 1.5, 'the new configuration')
         said = configuration(ros)
     assert said['method'] == 'dynamic_factor' and 'k_s' not in said
     assert said['criteria.k_w'] == 4.0 and said['criteria.k_s'] == 1.5
