@@ -33,7 +33,7 @@ def configuration_of(text: str, notes: list[str]) -> dict[str, Any]:
         values = parameter_values(content, 'it')
         if not all(isinstance(name, str) for name in values):
             raise PlannerError('a parameter has no name')
-        return translated(values)
+        return translated(values, notes)
     # PyYAML raises more than its own errors: a ValueError of a date, a RecursionError.
     except (yaml.YAMLError, ValueError, TypeError, ArithmeticError, RecursionError) as error:
         notes.append(f'the recorded configuration is unusable: {error}')

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 from typing import Any
+
+from redundant_planner.core.errors import known
 
 RENAMED: Mapping[str, str] = {
     'k_alpha': 'criteria.k_alpha',
@@ -69,12 +72,33 @@ def flat(values: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def translated(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a recorded configuration under the names of today."""
+# What the paper's method to the letter was recorded with.
+_LETTER: Mapping[str, float] = {
+    'criteria.k_m': 0.0, 'clearance.smoothing': 0.0, 'clearance.influence_distance': math.inf,
+    'clearance.margin': 0.0, 'limits.position_margin': 0.0, 'singularity.damping_threshold': 0.0,
+    'feedback.gain': 0.0,
+}
+
+
+def translated(values: Mapping[str, Any], notes: list[str]) -> dict[str, Any]:
+    """Return the values of a recorded configuration under the names of today.
+
+    Args:
+        values: as recorded.
+        notes: takes a sentence about what has no equal today.
+    """
     found = {RENAMED.get(name) or _CONSTANT.get(name, name): value
              for name, value in flat(values).items()}
     letter = found.pop('clearance_points', 'links') == 'joints'
-    if not found.pop('safety_filter', True) and letter:
-        fixed = found.get('method') == 'gradient_projection'
+    filtered = found.pop('safety_filter', True)
+    fixed = found.get('method') == 'gradient_projection'
+    if letter and not filtered and (fixed or found.get('method') == 'dynamic_factor'):
         found['method'] = 'paper_gradient_projection' if fixed else 'paper'
+        differing = [name for name, value in _LETTER.items() if found.get(name, value) != value]
+        if differing:
+            notes.append("it was recorded without a safety filter, which is 'method: paper' now; "
+                         f'that does not use {known(differing)}')
+    elif letter or not filtered:
+        notes.append("it was recorded with 'safety_filter' or 'clearance_points' as they cannot "
+                     'be set any more: other commands come out today')
     return found

@@ -223,6 +223,10 @@ def unknown_parameters(node: Node) -> list[str]:
     rclpy ignores them without a word. Those of this package's other nodes are known, as the nodes
     share their files; so are the entries of obstacles and capsules, where the node does not list
     any.
+
+    Raises:
+        ParameterError: a name of version 0.1.0 was given, with what it is called now. An old
+            margin that silently no longer counts would be dangerous.
     """
     names = {*_ROS, *node.list_parameters([], 0).names}
     for settings in (RobotParameters, PlannerParameters, PlannerNodeParameters,
@@ -241,9 +245,10 @@ def unknown_parameters(node: Node) -> list[str]:
     if given is None:
         return ['this rclpy does not tell which parameters were given: a misspelt one stays '
                 'unnoticed']
-    given = [name for name in given if not name.startswith(tuple(not_mine))]
-    return [*filter(None, map(what_became_of, given)),
-            *unknown_names((name for name in given if not what_became_of(name)), names)]
+    old = [sentence for sentence in map(what_became_of, sorted(given)) if sentence]
+    if old:
+        raise ParameterError('; '.join(old))
+    return unknown_names((name for name in given if not name.startswith(tuple(not_mine))), names)
 
 
 def on_change(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 import sys
 from typing import Any
@@ -18,7 +18,7 @@ import yaml
 from redundant_planner.analysis.bag_analysis import COMMAND_TIMEOUT, robot_of_bag
 from redundant_planner.core.errors import ParameterError, PlannerError, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
-from redundant_planner.core.parameters import METHODS, PlannerParameters
+from redundant_planner.core.parameters import METHODS, PlannerParameters, ros_name
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.safety.limits import braked
 from redundant_planner.io.bag_files import RecordingError
@@ -371,13 +371,12 @@ def main(args: list[str] | None = None) -> int:
             if not options.params.is_file():
                 raise ParameterError(f"'{options.params}' is not a file")
             changed = settings_of(PlannerParameters, {
-                **_plain(recorded), **read_parameter_file(options.params)})
+                **_as_in_files(recorded), **read_parameter_file(options.params)})
         if options.method:
             changed = replace(changed, method=options.method)
         exact = changed == recorded and bool(inputs.ticks)
         replay = again(inputs, changed) if exact else otherwise(inputs, changed)
-        values = {**inputs.values, **{key: list(value) if isinstance(value, tuple) else value
-                                      for key, value in _plain(changed).items()}}
+        values = {**inputs.values, **_as_in_files(changed)}
         write_replay(out, inputs, replay, origin_ns,
                      str(yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)))
         if exact:
@@ -396,8 +395,11 @@ def main(args: list[str] | None = None) -> int:
     return 0
 
 
-def _plain(parameters: PlannerParameters) -> dict[str, Any]:
-    return dict(vars(parameters))
+def _as_in_files(parameters: PlannerParameters) -> dict[str, Any]:
+    """Return parameters under the names that files give them, without tuples, as YAML likes it."""
+    values = {ros_name(entry): getattr(parameters, entry.name) for entry in fields(parameters)}
+    return {name: list(value) if isinstance(value, tuple) else value
+            for name, value in values.items()}
 
 
 def differences(inputs: Inputs, replay: Replay) -> Array:

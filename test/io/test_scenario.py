@@ -219,6 +219,26 @@ def test_a_configuration_recorded_by_version_0_1_0_is_translated():
         method='paper', criteria_k_w=2.0, horizon_duration=2.5, singularity_damping=0.02)
 
 
+@pytest.mark.parametrize(('old', 'method', 'note'), [
+    ('safety_filter: true, clearance_points: links', 'dynamic_factor', None),
+    ('safety_filter: false', 'dynamic_factor', 'other commands come out today'),
+    ('clearance_points: joints', 'dynamic_factor', 'other commands come out today'),
+    ('safety_filter: false, clearance_points: joints, method: variational', 'variational',
+     'other commands come out today'),
+    ('safety_filter: false, clearance_points: joints, influence_distance: .inf', 'paper', None),
+    ('safety_filter: false, clearance_points: joints, method: gradient_projection',
+     'paper_gradient_projection', None),
+    ('safety_filter: false, clearance_points: joints, drift_gain: 10.0', 'paper',
+     "'method: paper' now; that does not use 'feedback.gain'"),
+])
+def test_a_recorded_configuration_that_has_no_equal_today_is_noted(old, method, note):
+    given = f'method: dynamic_factor, {old}' if 'method' not in old else old
+    notes = []
+    values = configuration_of(f'/**: {{ros__parameters: {{{given}}}}}', notes)
+    assert settings_of(PlannerParameters, values).method == method
+    assert len(notes) == (note is not None) and all(note in said for said in notes)
+
+
 @pytest.mark.parametrize('interpolation', ['linear', 'hold'])
 def test_the_preview_of_a_profile_is_the_profile(tmp_path, interpolation):
     scenario = load_scenario(written(

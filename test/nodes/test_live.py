@@ -250,6 +250,29 @@ def test_parameters_change_while_running_or_are_refused_with_the_reason():
         assert planner.poll() is None
 
 
+def test_grouped_names_count_wherever_they_are_given(tmp_path):
+    """Nested and dotted in a file, on the command line, at run time; refusals change nothing."""
+    file = tmp_path / 'groups.yaml'
+    file.write_text('/**:\n  ros__parameters:\n    criteria: {k_w: 4.0, k_s: 0.5}\n'
+                    '    horizon.nodes: 8\n    clearance.margin: 0.02\n')
+    with station() as (ros, processes):
+        processes.start('fake_hardware_node', [*FILE, file], ARM_VALUES)
+        processes.start('planner_node', [*FILE, file], {'clearance.margin': 0.03})
+        ros.wait_for(lambda: ros.commands, 'start')
+        assert set_parameter(ros, 'criteria.k_s', 1.5).successful
+        for name, value, reason in (
+                ('method', 'paper', "a planner that began with one of 'gradient_projection', "
+                                    "'dynamic_factor', 'variational' keeps to these"),
+                ('k_s', 9.0, 'undeclared')):
+            result = set_parameter(ros, name, value)
+            assert not result.successful and reason in result.reason, (name, result.reason)
+        ros.wait_for(lambda: configuration(ros)['criteria.k_s'] == 1.5, 'the new configuration')
+        said = configuration(ros)
+    assert said['method'] == 'dynamic_factor' and 'k_s' not in said
+    assert said['criteria.k_w'] == 4.0 and said['criteria.k_s'] == 1.5
+    assert said['horizon.nodes'] == 8 and said['clearance.margin'] == 0.03
+
+
 def test_the_urdf_may_come_by_topic():
     with station() as (ros, processes):
         processes.start('planner_node', values={'tip_frame': 'tool_tip', 'link_shapes': 'straight',
@@ -275,7 +298,11 @@ PLANNER_FAULTS = [
     ([*FROM_FILE, '-p', 'rate:=5000'], "'rate' is 5000; it must lie in [1, 1000] Hz"),
     ([*FROM_FILE, '-p', 'rate:=fast'], "'rate' is 'fast'; it must be a whole number"),
     ([*FROM_FILE, '-p', 'axes:=[vx, up]'], "'axes' is 'up'; it must be one of"),
-    ([*FROM_FILE, '-p', 'joint_weights:=[1.0]'], "'joint_weights' has 1 entries; it takes 7"),
+    ([*FROM_FILE, '-p', 'criteria.joint_weights:=[1.0]'],
+     "'criteria.joint_weights' has 1 entries; it takes 7"),
+    ([*FROM_FILE, '-p', 'joint_weights:=[1.0]', '-p', 'marker_rate:=9'],
+     "'joint_weights' is called 'criteria.joint_weights' now; parameter 'marker_rate' is not set "
+     'any more: it is a constant now'),
     ([*FROM_FILE, '-p', 'static_obstacles:=[o]'], "obstacle 'o' lacks 'center'"),
     ([*FROM_FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0]'],
      "'static_obstacle.o.center' is [0.0, 0.0]; it takes 3 finite numbers"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import fields
 
+from conftest import ROBOTS
 from live_helpers import run_node
 import numpy as np
 import pytest
@@ -100,14 +101,13 @@ def node_with(*arguments, name='planner_node'):
 
 
 def test_parameters_that_nobody_reads_are_named():
-    given = {'horizon.look_aheed': 1.0, 'criteria.k_w': 2.0, 'k_s': 1.0,
+    given = {'horizon.look_aheed': 1.0, 'criteria.k_w': 2.0,
              'scenario': 'x', 'use_sim_time': False,
              'noise': 0.05, 'capsules': '[arm]', 'capsule.arm.radius': 0.1,
              'capsule.arm.radios': 0.1, 'static_obstacle.wal.center': '[0.0, 0.0, 0.0]',
              'static_obstacles': '[wall]', 'qos_overrides./tf.depth': 3, 'zzz': 1}
     arguments = [a for name, value in given.items() for a in ('-p', f'{name}:={value}')]
-    wrong = ["parameter 'k_s' is called 'criteria.k_s' now",
-             "parameter 'capsule.arm.radios' is not known; did you mean 'capsule.arm.radius'?",
+    wrong = ["parameter 'capsule.arm.radios' is not known; did you mean 'capsule.arm.radius'?",
              "parameter 'horizon.look_aheed' is not known; did you mean 'horizon.look_ahead'?",
              "parameter 'zzz' is not known"]
     wall = ("parameter 'static_obstacle.wal.center' is not known; did you mean "
@@ -115,11 +115,24 @@ def test_parameters_that_nobody_reads_are_named():
     with node_with(*arguments) as node:
         declare(node, RobotParameters)
         declare(node, PlannerNodeParameters)
-        assert unknown_parameters(node) == [*wrong[:3], wall, wrong[3]]
+        assert unknown_parameters(node) == [*wrong[:2], wall, wrong[2]]
     with node_with(*arguments, name='fake_hardware_node') as node:  # shares the planner's file
         declare(node, RobotParameters)
         declare(node, FakeHardwareParameters)
         assert unknown_parameters(node) == wrong
+
+
+@pytest.mark.parametrize('node', ['planner_node', 'fake_hardware_node', 'scenario_player'])
+def test_a_file_of_version_0_1_0_ends_each_node_with_the_new_names(tmp_path, node):
+    path = tmp_path / 'old.yaml'
+    path.write_text(f'/**:\n  ros__parameters:\n    clearance_margin: 0.05\n    horizon: 2.0\n'
+                    f'    safety_filter: false\n    urdf: {ROBOTS}/paper_2p5r.urdf\n'
+                    '    tip_frame: tool_tip\n')
+    status, said = run_node(node, '--params-file', str(path))
+    assert status == 2 and 'Traceback' not in said, said
+    assert "parameter 'clearance_margin' is called 'clearance.margin' now" in said
+    assert "parameter 'horizon' is called 'horizon.duration' now" in said
+    assert "'safety_filter' is not set any more" in said and "'method: paper'" in said
 
 
 @pytest.mark.parametrize('value', [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 from bags import DT, paper_motion, write
 from hypothesis import given, strategies as st
@@ -11,8 +11,9 @@ import pytest
 
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.io.parameter_files import settings_of
+from redundant_planner.core.parameters import PlannerParameters, ros_name
+from redundant_planner.io.node_parameters import PlannerNodeParameters
+from redundant_planner.io.parameter_files import RobotParameters, settings_of
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.io.recording import open_bag, read_recording
 from redundant_planner.tools.replay_bag import (
@@ -89,6 +90,22 @@ def test_a_parameter_file_changes_some(tmp_path):
     assert replay_bag([str(path), '--params', str(file), '--out', str(tmp_path / 'slow')]) == 0
     slow, fast = analyse(tmp_path / 'slow'), analyse(path)
     assert slow.joints.path.sum() < 0.5 * fast.joints.path.sum()
+
+
+def test_a_parameter_file_changes_no_others_and_the_new_bag_says_so(tmp_path):
+    robot, parameters, motion = paper_motion(0.1)
+    recorded = replace(parameters, criteria_k_w=3.0, path_priority='strict')
+    path = write(tmp_path / 'run', robot, recorded, motion)
+    file = tmp_path / 'slow.yaml'
+    file.write_text('/**: {ros__parameters: {limits: {linear_speed: 0.01}, horizon.nodes: 6}}')
+    assert replay_bag([str(path), '--params', str(file)]) == 0
+    with open_bag(tmp_path / 'run_replay') as opened:
+        values = read_inputs(opened, None, '', '').values
+    assert settings_of(PlannerParameters, values) == replace(
+        recorded, limits_linear_speed=0.01, horizon_nodes=6)
+    names = {ros_name(entry) for settings in (
+        PlannerParameters, RobotParameters, PlannerNodeParameters) for entry in fields(settings)}
+    assert set(values) <= {*names, 'capsule', 'static_obstacle'}
 
 
 def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path, capsys):
