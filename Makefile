@@ -1,11 +1,12 @@
 # Two commands do everything: `make demo` and `make test`. Both set up $(VENV) first.
+# `make docs` builds the pages and the API reference into build/docs/index.html.
 PYTHON ?= python3
 VENV ?= .venv
 PIP_INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check
 # So that no node has to, the first time it starts.
 COMPILE = $(VENV)/bin/python -m redundant_planner.compile
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint docs clean
 
 demo: $(VENV)/.demo-ready
 	$(VENV)/bin/demo --out demo_output
@@ -16,6 +17,9 @@ test: $(VENV)/.test-ready lint
 lint: $(VENV)/.test-ready
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+docs: $(VENV)/.docs-ready
+	$(VENV)/bin/python -m sphinx -W --keep-going -b html docs build/docs
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), \
@@ -31,6 +35,10 @@ $(VENV)/.test-ready: setup.py setup.cfg | $(VENV)/bin/python
 	$(PIP_INSTALL) --editable '.[jazzy,analysis,test]'
 	$(COMPILE)
 	touch $@ $(VENV)/.demo-ready
+
+$(VENV)/.docs-ready: setup.py setup.cfg | $(VENV)/bin/python
+	$(PIP_INSTALL) --editable '.[docs]'
+	touch $@
 
 clean:
 	rm -rf $(VENV) demo_output build install log *.egg-info

@@ -12,6 +12,8 @@ JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'plotly>=5.15', 'rich>=13']
 # For `python -m benchmark.…` alone: what is compared with, and the optimum.
 BENCHMARK = ['casadi', 'mink', 'pin-pink']
+# `make docs`; furo is the theme (MIT), myst-parser reads Markdown (MIT).
+DOCS = ['furo', 'myst-parser', 'sphinx']
 # A headless Chromium for the report's own test; half a gigabyte.
 BROWSER = ['PySide6-WebEngine']
 TEST = [
@@ -24,6 +26,7 @@ setup(
     name=PACKAGE,
     version='0.1.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    package_data={PACKAGE: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (SHARE, ['package.xml']),
@@ -36,7 +39,7 @@ setup(
     install_requires=['setuptools', 'numpy>=1.26', 'numba>=0.59', 'scipy>=1.8', 'pin>=3',
                       'daqp>=0.5', 'PyYAML>=6'],
     extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'benchmark': BENCHMARK, 'test': TEST,
-                    'browser': BROWSER},
+                    'browser': BROWSER, 'docs': DOCS},
     zip_safe=False,
     maintainer='redundant_planner developers',
     maintainer_email='maintainers@example.com',

@@ -16,8 +16,7 @@ from benchmark.optimum import Optimum
 from benchmark.scenarios import DT, make_robot
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.figures import joint_curves
-from redundant_planner.core.horizon.poses_ahead import middles
-from redundant_planner.core.horizon.preview import TwistAhead
+from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -38,7 +37,7 @@ _PANDA_SEED = 2002
 
 
 def compare(
-    robot: Robot, start: Array, twist_at: Callable[[float], Array], preview: TwistAhead,
+    robot: Robot, start: Array, twist_at: Callable[[float], Array], preview: Preview,
     duration: float, obstacles: tuple[Obstacle, ...], poses: list[Pose],
     methods: Mapping[str, PlannerParameters],
 ) -> dict[str, tuple[Array, Array]]:
@@ -86,7 +85,7 @@ def main() -> None:
         poses.append(integrate(poses[-1], scenario.twist_at(i * DT), DT, False))
     traditional = replace(experiment.methods()['gradient_projection_links'],
                           clearance_margin=PlannerParameters().clearance_margin)
-    found = compare(robot, start, scenario.twist_at, scenario.preview().between,
+    found = compare(robot, start, scenario.twist_at, scenario.preview(),
                     scenario.duration, scenario.obstacles, poses,
                     {'traditional': traditional, **_OURS})
     print_table("The paper's scenario, whole links clear by the default margin", robot, found)
@@ -98,11 +97,13 @@ def main() -> None:
 
     robot = make_robot('panda', 6)
     task = generate(robot, _PANDA_SEED)
+    ticks = np.linspace(0.0, DURATION, round(DURATION / DT) + 1)
     found = compare(robot, task.start, task.twist_at,
-                    lambda times: task.twist_at(middles(times)), DURATION, task.obstacles,
+                    Preview(ticks, task.twist_at(ticks)), DURATION, task.obstacles,
                     path_poses(robot, task, DT), {
                         'traditional': PlannerParameters(
-                            method='gradient_projection', k_fixed=0.02, k_w=1.0, k_f=0.0),
+                            method='gradient_projection', criteria_k_fixed=0.02,
+                            criteria_k_w=1.0, criteria_k_f=0.0),
                         **_OURS})
     print_table(f'A Panda, scenario {_PANDA_SEED} of the benchmark', robot, found)
     joint_curves(_FOLDER / 'horizon_panda.png', robot.joint_names, 'displacement [rad]',

@@ -54,8 +54,8 @@ class Optimum:
         self._poses = [poses[i] for i in at]
         self._scene = Scene.of(obstacles)
         p = PlannerParameters()
-        self._low = robot.position_min + p.position_margin
-        self._high = robot.position_max - p.position_margin
+        self._low = robot.position_min + p.limits_position_margin
+        self._high = robot.position_max - p.limits_position_margin
         self._solver, self._bounds = self._problem()
 
     def best(self, paths: Iterable[Array]) -> tuple[float, Array] | None:

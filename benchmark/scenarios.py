@@ -38,15 +38,17 @@ Array = npt.NDArray[np.float64]
 DT = 0.004
 _TURN = np.deg2rad(0.5)
 METHODS = {
-    'least_norm': PlannerParameters(k_w=0.0, k_f=0.0, safety_filter=False),
-    'least_norm_filtered': PlannerParameters(k_w=0.0, k_f=0.0, look_ahead=0.0),
-    'gradient_projection': PlannerParameters(
-        method='gradient_projection', k_f=0.0, safety_filter=False),
-    'dynamic_factor_unfiltered': PlannerParameters(safety_filter=False),
+    'least_norm': PlannerParameters(criteria_k_w=0.0, criteria_k_f=0.0),
+    'least_norm_filtered': PlannerParameters(
+        criteria_k_w=0.0, criteria_k_f=0.0, horizon_look_ahead=0.0),
+    'gradient_projection': PlannerParameters(method='gradient_projection', criteria_k_f=0.0),
+    'dynamic_factor_unfiltered': PlannerParameters(),
     'dynamic_factor': PlannerParameters(),
     'variational_held': PlannerParameters(method='variational'),
     'variational_known': PlannerParameters(method='variational'),
 }
+# These run without the safety filter.
+UNFILTERED = ('least_norm', 'gradient_projection', 'dynamic_factor_unfiltered')
 # These are told the twist ahead, as a user does who plays a profile.
 KNOWN = ('variational_known',)
 PEERS = {'mink': 'Mink', 'pink': 'Pink'}
@@ -78,9 +80,10 @@ class Outcome:
 
 def run_planner(
     robot: Robot, parameters: PlannerParameters, judge: Judge, task: Task, known: bool = False,
+    filtered: bool = True,
 ) -> Outcome:
     """Run the planner in closed loop with an ideal arm; tell it the twist ahead if `known`."""
-    planner = Planner(robot, parameters)
+    planner = Planner(robot, parameters, filtered=filtered)
     count = round(DURATION / DT)
     postures = np.empty((count + 1, robot.n))
     postures[0] = task.start
@@ -101,7 +104,7 @@ def run_planner(
         if result.reason:
             reasons[result.reason] = None
     return _outcome(judge, task, postures, velocities, slowest > 0.99, tuple(reasons), ticks,
-                    evades=parameters.safety_filter)
+                    evades=filtered)
 
 
 def run_peer(
@@ -109,7 +112,7 @@ def run_peer(
 ) -> Outcome:
     """Run another library in closed loop with an ideal arm, with the same margins."""
     p = PlannerParameters()
-    peer = library(robot, task.obstacles, p.clearance_margin, p.self_collision_margin)
+    peer = library(robot, task.obstacles, p.clearance_margin, p.clearance_self_margin)
     poses = path_poses(robot, task, DT)
     count = len(poses) - 1
     postures = np.empty((count + 1, robot.n))
@@ -186,7 +189,8 @@ def runners(robot: Robot, judge: Judge, names: list[str]) -> dict[
     for name in names:
         if name in METHODS:
             found[name] = partial(
-                run_planner, robot, METHODS[name], judge, known=name in KNOWN)
+                run_planner, robot, METHODS[name], judge, known=name in KNOWN,
+                filtered=name not in UNFILTERED)
         else:
             try:
                 from benchmark import peers

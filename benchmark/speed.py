@@ -38,7 +38,9 @@ from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.jacobian import derivative_between
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import integrate, Pose
-from redundant_planner.core.safety import safety_filter
+from redundant_planner.core.safety.barriers import barriers_of
+from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.safety.stages import Request, safe_velocity
 
 Array = npt.NDArray[np.float64]
 
@@ -99,7 +101,7 @@ def peer_times(
     from benchmark import peers
     p = PlannerParameters()
     solver = getattr(peers, peer.capitalize())(
-        robot, obstacles, p.clearance_margin, p.self_collision_margin)
+        robot, obstacles, p.clearance_margin, p.clearance_self_margin)
     arm = robot.kinematics(start)
     pose, q = Pose(arm.tip_position, arm.tip_rotation), start
     times = np.empty(ticks)
@@ -126,22 +128,23 @@ def sections(
     all_seen = np.full(len(speeds), np.inf)
     links = robot.links(arm)
     near = near_pairs(
-        maps, links, speeds, p.barrier_gain, p.influence_distance, all_seen)
-    limits = safety_filter.Limits(np.array((robot.position_max, robot.position_min)),
-                           robot.velocity_max, robot.acceleration_max)
+        maps, links, speeds, p.clearance_gain, p.clearance_influence_distance, all_seen)
+    limits = Limits(np.array((robot.position_max, robot.position_min)),
+                    np.array(robot.velocity_max), np.array(robot.acceleration_max), 0.0)
     at_rest, twist = np.zeros(robot.n), robot.task_rows(_TWIST)
     parts = {
         'kinematics': lambda: robot.kinematics(start),
         'clearances and gradients': lambda: near_pairs(
-            maps, links, speeds, p.barrier_gain, p.influence_distance, all_seen),
+            maps, links, speeds, p.clearance_gain, p.clearance_influence_distance, all_seen),
         'decomposition': lambda: null_space.decompose(arm.jacobian),
         'derivative of J': lambda: derivative_between(
             twist, arm.tip_jacobian, start, arm.tip_rotation, robot.in_tool, robot.rows),
         # From rest the arm cannot follow at once, so here there is one to solve.
-        'filter with a QP': lambda: safety_filter.safe_velocity(
-            np.linalg.pinv(arm.jacobian) @ twist, True, arm.jacobian, twist, start, at_rest,
-            limits, safety_filter.Barriers(near.gradient, near.rate, near.normalized_distance),
-            weights=np.ones(robot.n), gain=p.barrier_gain, may_yield=False, dt=_DT),
+        'filter with a QP': lambda: safe_velocity(
+            Request(np.linalg.pinv(arm.jacobian) @ twist, arm.jacobian, twist, np.zeros(robot.m),
+                    np.zeros(robot.m), start, at_rest),
+            limits, barriers_of(near.gradient, near.rate, near.normalized_distance),
+            weights=np.ones(robot.n), gain=p.clearance_gain, may_yield=False, dt=_DT),
     }
     return {name: _median(part, ticks) for name, part in parts.items()}
 

@@ -1,67 +1,104 @@
-"""A motion offline: the planner's core in closed loop with an ideal arm."""
+"""A motion offline: the planner in closed loop with an ideal arm."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+import math
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.horizon.preview import TwistAhead
+from redundant_planner.core.errors import StateError
+from redundant_planner.core.horizon.preview import Preview
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.scene import Scene
-from redundant_planner.core.planner import Planner, StepResult
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.step_result import StepResult
+from redundant_planner.paper.method import PaperPlanner
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A simulated motion.
+    """A simulated motion of k ticks.
 
     Attributes:
-        times: (k + 1,) [s].
-        positions: (k + 1, n) [rad, m].
-        velocities: (k, n) held from one time to the next [rad/s, m/s].
+        times: (k + 1,) from 0 [s].
+        positions: (k + 1, n) joint positions [rad, m].
+        velocities: (k, n) joint velocities, each held until the next time [rad/s, m/s].
         results: of the k ticks.
+        clearance: (k + 1,) distance between the arm and the nearest obstacle [m]: never more
+            than the true one, negative inside, infinite without obstacles. At the clearance
+            margin it equals the margin.
     """
 
     times: Array
     positions: Array
     velocities: Array
     results: tuple[StepResult, ...]
+    clearance: Array
 
 
 def simulate(
-    planner: Planner, start: Array, twist_at: Callable[[float], Array], scene: Scene,
-    duration: float, dt: float, preview: TwistAhead | None = None,
+    planner: Planner | PaperPlanner, start: npt.ArrayLike,
+    twist: npt.ArrayLike | Callable[[float], npt.ArrayLike], scene: Scene, duration: float,
+    dt: float, preview: Preview | None = None,
 ) -> Motion:
-    """Run the planner from rest at `start` for `duration`, one tick per `dt` [s].
+    """Run the planner from rest, in closed loop with an arm that follows at once.
+
+    Obstacles with a velocity move on at that velocity.
 
     Args:
         planner: is reset first.
-        start: (n,) [rad, m].
-        twist_at: time [s] → twist (6,).
-        scene: the obstacles.
-        duration: [s].
-        dt: [s].
-        preview: what the variational method is told, times (N + 1,) [s] → mean twists (N, 6)
-            from each to the next; nothing if None.
+        start: (n,) joint positions [rad, m].
+        twist: (6,) commanded tip twist [m/s, rad/s], or a function of the time [s] that returns
+            it.
+        scene: the obstacles at the start.
+        duration: [s], rounded to whole ticks.
+        dt: period of the loop [s].
+        preview: the twists that will be commanded, over the time from the start; None if only
+            the present one is known.
+
+    Raises:
+        StateError: `start` or a twist does not fit the robot, or a time is not positive.
     """
+    for name, value in (('duration', duration), ('dt', dt)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise StateError(f'{name} is {value}; it must be positive [s]')
+    robot, margin = planner.robot, planner.parameters.clearance_margin
     planner.reset()
     count = round(duration / dt)
-    positions = np.empty((count + 1, len(start)))
-    positions[0] = start
+    positions, clearance = np.empty((count + 1, robot.n)), np.empty(count + 1)
+    positions[0] = robot.checked_posture(start)
+    clearance[0] = _distance(robot, positions[0], scene, margin)
     results = []
     for i in range(count):
-        ahead = None if preview is None else _from(preview, i * dt)
-        result = planner.step(positions[i], twist_at(i * dt), scene, dt, ahead)
-        positions[i + 1] = positions[i] + dt * result.dq
+        now = i * dt
+        result = planner.step(
+            positions[i], np.asarray(twist(now) if callable(twist) else twist, dtype=float),
+            _moved(scene, now), dt, None if preview is None else preview.ahead(now))
         results.append(result)
-    times: Array = np.linspace(0.0, count * dt, count + 1, dtype=np.float64)
-    return Motion(times, positions,
-                  np.array([r.dq for r in results]), tuple(results))
+        positions[i + 1] = positions[i] + dt * result.dq
+        clearance[i + 1] = _distance(robot, positions[i + 1], _moved(scene, now + dt), margin)
+    return Motion(
+        np.linspace(0.0, count * dt, count + 1, dtype=np.float64), positions,
+        np.array([r.dq for r in results]).reshape(count, robot.n), tuple(results), clearance)
 
 
-def _from(preview: TwistAhead, now: float) -> TwistAhead:
-    return lambda times: preview(now + times)
+def _moved(scene: Scene, time: float) -> Scene:
+    """Return the scene after a time [s]; the same object while nothing moves in it."""
+    if not scene.velocities.any():
+        return scene
+    return replace(scene, centers=scene.centers + time * scene.velocities)
+
+
+def _distance(robot: Robot, q: Array, scene: Scene, margin: float) -> float:
+    """Return the distance to the nearest obstacle [m], exact at the margin, see `Motion`."""
+    arm = robot.kinematics(q)
+    maps = inflated_ellipsoids(scene, [c.radius + margin for c in robot.capsules])
+    pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
+    return margin + float(pairs.distance.min(initial=np.inf))

@@ -18,6 +18,9 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot
 
+# Their assertions, too, say what was compared.
+pytest.register_assert_rewrite('bench', 'live_helpers')
+
 # Jobs that a shell runs in its background ignore SIGINT, and so would all processes started here.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -61,7 +64,7 @@ def make_panda(**changes) -> Robot:
 
 
 def make_planar(**options) -> Robot:
-    return Robot(planar_urdf(), 'tip', **{'axes': ('vx', 'vy'), **options})
+    return Robot(planar_urdf(), 'tip', **{'axes': ('vx', 'vy'), 'link_radius': 0.0, **options})
 
 
 MAKERS = {

@@ -11,30 +11,34 @@ import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, String
 
-from redundant_planner.nodes import planner_node, runtime
+from redundant_planner.nodes import control_loop, runtime
 from redundant_planner.nodes.last_word import LastWord
+from redundant_planner.nodes.planner_node import PlannerNode
 
 
-class FaultyPlannerNode(planner_node.PlannerNode):
-    """Breaks where it is told to."""
+class FaultyPlannerNode(PlannerNode):
+    """Breaks on demand."""
 
     def __init__(self, last_word):
         self._times = []
         super().__init__(last_word)
-        self._reports = self.create_publisher(Float64MultiArray, 'command_times', 1)
+        self._reports_of_times = self.create_publisher(Float64MultiArray, 'command_times', 1)
         self.create_subscription(
             String, 'fault', lambda message: getattr(self, f'break_{message.data}')(), 10)
+        publish = self.loop.output.publish
 
-    def _publish(self, dq, *, known=True):
-        super()._publish(dq, known=known)
-        self._times.append(time.thread_time())
+        def publish_and_note(*command):
+            publish(*command)
+            self._times.append(time.thread_time())
+
+        self.loop.output.publish = publish_and_note
 
     def break_nothing(self):
         """Say when commands went out since the last time, in processor time of this thread.
 
-        What a busy machine does meanwhile does not count; and a listener may miss commands.
+        Other work of a busy machine does not count, and a listener may miss commands.
         """
-        self._reports.publish(Float64MultiArray(data=self._times))
+        self._reports_of_times.publish(Float64MultiArray(data=self._times))
         self._times = []
 
     def break_message(self):
@@ -51,17 +55,18 @@ class FaultyPlannerNode(planner_node.PlannerNode):
         def step(*arguments):
             raise ZeroDivisionError('a bad tick')
 
-        self._planner.step = step
+        self.loop.planner.step = step
 
     def break_nan(self):
-        good = self._planner.step
-        self._planner.step = lambda *arguments: good(*arguments)._replace(
-            dq=np.full(self.robot.n, np.nan))
+        planner = self.loop.planner
+        good = planner.step
+        planner.step = lambda *arguments: good(*arguments)._replace(
+            dq=np.full(planner.robot.n, np.nan))
 
     def break_braking(self):
         """Break a tick, and then the braking as well, for a while."""
         self.break_tick()
-        good, left = planner_node.braked, [3]
+        good, left = control_loop.braked, [3]
 
         def braked(*arguments):
             left[0] -= 1
@@ -69,7 +74,7 @@ class FaultyPlannerNode(planner_node.PlannerNode):
                 raise ZeroDivisionError('bad braking')
             return good(*arguments)
 
-        planner_node.braked = braked
+        control_loop.braked = braked
 
     def break_segfault(self):
         os.kill(os.getpid(), signal.SIGSEGV)
@@ -82,7 +87,7 @@ class FaultyPlannerNode(planner_node.PlannerNode):
         def publish(*arguments):
             raise ZeroDivisionError('nothing goes out any more')
 
-        self._output.publish = publish
+        self.loop.output.publish = publish
         raise SystemExit(4)
 
 

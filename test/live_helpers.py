@@ -41,7 +41,7 @@ class Station:
     """Publishes commands, collects what the nodes say."""
 
     def __init__(self, node, executor):
-        self.node, self._executor = node, executor
+        self.node, self._executor, self._clients = node, executor, {}
         self.states: list[JointState] = []
         self.commands: list[JointState] = []
         self.statuses: list[DiagnosticStatus] = []
@@ -65,8 +65,8 @@ class Station:
             meanwhile()
             self.spin(0.001)
 
-    def drive_until(self, twist, condition, what, rate=100.0):
-        """Publish a twist at a rate until a condition holds, then nothing more."""
+    def driver(self, twist, rate=100.0):
+        """Return a function that publishes a twist at a rate, called as often as one likes."""
         message = twist_to_message(twist)
         last = -np.inf
 
@@ -76,7 +76,11 @@ class Station:
                 last = time.monotonic()
                 self.twist.publish(message)
 
-        self.wait_for(condition, what, meanwhile=publish)
+        return publish
+
+    def drive_until(self, twist, condition, what, rate=100.0):
+        """Publish a twist at a rate until a condition holds, then nothing more."""
+        self.wait_for(condition, what, meanwhile=self.driver(twist, rate))
 
     def drive(self, twist, seconds, rate=100.0):
         """Publish a twist at a rate for a while, then nothing more."""
@@ -91,18 +95,21 @@ class Station:
             self.commands.clear()
             self.drive(twist, 0.2)
 
-    def call(self, kind, name, request):
-        """Call a service of the planner's."""
-        client = self.node.create_client(kind, f'/planner_node/{name}')
-        self.wait_for(client.service_is_ready, name)
+    def call(self, kind, name, request, meanwhile=lambda: None):
+        """Call a service of the planner's, and do something else between the messages."""
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, f'/planner_node/{name}')
+        client = self._clients[name]
+        self.wait_for(client.service_is_ready, name, meanwhile=meanwhile)
         # A server that has not discovered the client's side yet answers into the void: ask again.
         futures = []
+        begin = time.monotonic()
 
         def ask():
+            meanwhile()
             if len(futures) <= (time.monotonic() - begin) / 3.0:
                 futures.append(client.call_async(request))
 
-        begin = time.monotonic()
         self.wait_for(lambda: any(f.done() for f in futures), f'answer of {name}', meanwhile=ask)
         return next(f.result() for f in futures if f.done())
 

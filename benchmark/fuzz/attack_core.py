@@ -65,14 +65,14 @@ def _parameters(random: np.random.Generator) -> PlannerParameters:
     return PlannerParameters(
         method=str(random.choice(METHODS)), path_priority=str(random.choice(PATH_PRIORITIES)),
         horizon_nodes=int(random.choice([2, 12, 32], p=[0.2, 0.7, 0.1])),
-        barrier_gain=float(10.0 ** random.uniform(-1.0, 3.0)),
-        k_alpha=float(random.choice([0.0, 0.9, 10.0])),
+        clearance_gain=float(10.0 ** random.uniform(-1.0, 3.0)),
+        criteria_k_alpha=float(random.choice([0.0, 0.9, 10.0])),
         clearance_margin=float(random.choice([0.0, 0.01, 0.2])),
-        position_margin=float(random.choice([0.0, 0.01])),
-        obstacle_lead=float(random.choice([0.0, 0.1, 2.0])),
-        influence_distance=float(random.choice([1e-3, 0.1, 1e6])),
+        limits_position_margin=float(random.choice([0.0, 0.01])),
+        clearance_lead=float(random.choice([0.0, 0.1, 2.0])),
+        clearance_influence_distance=float(random.choice([1e-3, 0.1, 1e6])),
         clearance_smoothing=float(random.choice([0.0, 0.5])),
-        look_ahead=float(random.choice([0.0, 1.5, 10.0])))
+        horizon_look_ahead=float(random.choice([0.0, 1.5, 10.0])))
 
 
 def attack(random: np.random.Generator, folder: Path, tally: Tally) -> None:

@@ -18,10 +18,10 @@ import numpy as np
 from benchmark.fuzz.tally import Tally
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
-from redundant_planner.core.parameters import PlannerParameters, spec_of
+from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_of
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.obstacle_tracker import checked
+from redundant_planner.io.obstacle_bounds import checked
 from redundant_planner.io.parameter_files import obstacle_of, RobotParameters
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot
@@ -86,19 +86,17 @@ def _move(random: Random, tally: Tally) -> None:
             result = tally.attempt(lambda: planner.step(q, TWIST, SCENE, DT))  # noqa: B023
             if result is None or not tally.check_finite(result.dq):
                 return
-            # Where the filter is switched off, nothing holds the limits.
-            if planner.parameters.safety_filter:
-                fast = np.abs(result.dq) > robot.velocity_max * (1.0 + 1e-6)
-                hard = np.abs(result.dq - dq) > (
-                    robot.acceleration_max * DT * (1.0 + 1e-6) + 1e-9)
-                tally.limit_violations += bool(fast.any() or hard.any())
+            fast = np.abs(result.dq) > robot.velocity_max * (1.0 + 1e-6)
+            hard = np.abs(result.dq - dq) > (
+                robot.acceleration_max * DT * (1.0 + 1e-6) + 1e-9)
+            tally.limit_violations += bool(fast.any() or hard.any())
             dq = result.dq
             q = q + DT * dq
         changes = {}
         for entry in random.choice(fields(PlannerParameters),  # type: ignore[arg-type]
                                    int(random.integers(1, 6))):
             if spec_of(entry).runtime:
-                changes[entry.name] = (
+                changes[ros_name(entry)] = (
                     any_value(random) if random.random() < 0.1 else fitting_value(random, entry))
 
         def change(changes: dict[str, Any] = changes) -> None:

@@ -86,23 +86,28 @@ def entry(function: _Function) -> _Function:
 
     Numba takes a plain tuple over from Python in half the time that a NamedTuple needs. All
     NamedTuples therefore cross over as plain tuples; both sides only see NamedTuples. These may
-    be arguments, the result, and fields of the result.
+    be arguments, the result, and fields of either.
     """
     if numba.config.DISABLE_JIT:
         return function
     records = {name: _record(str(annotation), function.__globals__)
                for name, annotation in function.__annotations__.items()}
     result = records.pop('return', None)
-    arguments = tuple(
-        kind if records[name] is None else types.Tuple(kind.types)
-        for name, kind in zip(records, _argument_types(function)))
-    inner = _compile(_unpacking(function, records, result), arguments, {})
-
-    names = ', '.join(records)
-    handed = ', '.join(f'tuple({name})' if record else name for name, record in records.items())
-    call = f'inner({handed})' if result is None else _repacked(f'inner({handed})', result)
+    inner = _compile(_unpacking(function, records, result),
+                     tuple(map(_plain_type, _argument_types(function))), {})
+    handed = ', '.join(_packed(name, record) for name, record in records.items())
+    returned = 'found' if result is None else _unpacked('found', result)
     scope: dict[str, Any] = {'inner': inner, **_classes(result)}
-    return cast(_Function, functools.wraps(function)(eval(f'lambda {names}: {call}', scope)))
+    exec(f'def call({", ".join(records)}):\n    found = inner({handed})\n    return {returned}',
+         scope)
+    return cast(_Function, functools.wraps(function)(scope['call']))
+
+
+def _plain_type(kind: types.Type) -> types.Type:
+    """Return the type of a plain tuple for that of a NamedTuple."""
+    if not isinstance(kind, types.BaseNamedTuple):
+        return kind
+    return types.Tuple(tuple(map(_plain_type, kind.types)))
 
 
 def _record(annotation: str, scope: dict[str, Any]) -> Any:
@@ -127,25 +132,26 @@ def _classes(record: Any) -> dict[str, Any]:
         {record.__name__: record})
 
 
-def _plain(value: str, record: Any) -> str:
+def _packed(value: str, record: Any) -> str:
     """Return the expression that makes plain tuples of a NamedTuple and of those within it."""
+    if record is None:
+        return value
     fields = _fields_of(record)
     if not any(fields.values()):
         return f'{value}[:]'
-    return '(' + ', '.join(
-        _plain(f'{value}.{name}', inner) if inner else f'{value}.{name}'
-        for name, inner in fields.items()) + ',)'
+    return '(' + ''.join(
+        f'{_packed(f"{value}.{name}", inner)}, ' for name, inner in fields.items()) + ')'
 
 
-def _repacked(value: str, record: Any) -> str:
-    """Return the expression that makes a NamedTuple of what `_plain` made."""
+def _unpacked(value: str, record: Any) -> str:
+    """Return the expression that makes a NamedTuple of the tuples that `_packed` made."""
     fields = _fields_of(record)
     if not any(fields.values()):
         return f'{record.__name__}(*{value})'
     parts = ', '.join(
-        _repacked(f'plain[{i}]', inner) if inner else f'plain[{i}]'
+        _unpacked(f'{value}[{i}]', inner) if inner else f'{value}[{i}]'
         for i, inner in enumerate(fields.values()))
-    return f'(lambda plain: {record.__name__}({parts}))({value})'
+    return f'{record.__name__}({parts})'
 
 
 def _unpacking(function: Any, records: dict[str, Any], result: Any) -> Any:
@@ -160,15 +166,16 @@ def _unpacking(function: Any, records: dict[str, Any], result: Any) -> Any:
     definition.decorator_list = []
     if result is not None:
         definition = _PlainReturns(result).visit(definition)
-    unpack = [f'{name} = {function.__annotations__[name]}(*{name})'
-              for name, record in records.items() if record]
+    unpack = [f'{name} = {_unpacked(name, record)}' for name, record in records.items() if record]
     first = 0 if ast.get_docstring(definition) is None else 1
     definition.body[first:first] = ast.parse('\n'.join(unpack)).body
     ast.fix_missing_locations(tree)
     ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
     scope: dict[str, Any] = {}
-    exec(compile(tree, function.__code__.co_filename, 'exec', dont_inherit=True,
-                 flags=__future__.annotations.compiler_flag), function.__globals__, scope)
+    code = compile(tree, function.__code__.co_filename, 'exec', dont_inherit=True,
+                   flags=__future__.annotations.compiler_flag)
+    names = {cls.__name__: cls for record in records.values() for cls in _classes(record).values()}
+    exec(code, {**names, **function.__globals__}, scope)
     return scope[function.__name__]
 
 
@@ -176,13 +183,14 @@ class _PlainReturns(ast.NodeTransformer):
     """Makes `return x` return the plain tuple of a NamedTuple x."""
 
     def __init__(self, record: Any) -> None:
-        self._plain = ast.parse(f'return {_plain("returned", record)}').body
+        self._plain = ast.parse(f'returned = 0\nreturn {_packed("returned", record)}').body
 
     def visit_Return(self, node: ast.Return) -> list[ast.stmt]:
         assert node.value is not None
-        returned = ast.Assign([ast.Name('returned', ast.Store())], node.value)
-        return [ast.copy_location(returned, node),
-                *(ast.copy_location(each, node) for each in copy.deepcopy(self._plain))]
+        assignment, answer = copy.deepcopy(self._plain)
+        assert isinstance(assignment, ast.Assign)
+        assignment.value = node.value
+        return [ast.copy_location(assignment, node), ast.copy_location(answer, node)]
 
 
 def _argument_types(function: Callable[..., object]) -> tuple[types.Type, ...]:

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import get_typestore, Stores
 
 from redundant_planner.io.bag_files import RecordingError
+from redundant_planner.io.rosbags_internals import write_pending_chunk
 
 Array = npt.NDArray[np.float64]
 
@@ -60,14 +60,11 @@ class BagWriter:
         self._writer.write(self._connections[topic], time_ns, message)
 
     def flush(self) -> None:
-        """Hand what was written to the system: it survives the process's sudden end.
+        """Hand all messages to the system, so that they survive the process's sudden end.
 
-        Otherwise it waits for a chunk to be full, which at a low rate takes minutes.
+        Otherwise they wait until a chunk is full, which at a low rate takes minutes.
         """
-        storage = self._writer.storage
-        if isinstance(storage, McapWriter) and storage.chunk.msgs:
-            storage.close_chunk()
-            storage.bio.flush()
+        write_pending_chunk(self._writer)
 
     def write_joints(
         self, topic: str, time_ns: int, names: Sequence[str], positions: Array,

@@ -90,8 +90,8 @@ def collision_elements(robot: Robot, folder: Path | None) -> list[CollisionEleme
                 for collision in links[link].findall('collision')]
     if not elements:
         raise RobotError(
-            'no moving link of the URDF has collision geometry to fit capsules to; set '
-            "link_shapes to 'straight' and link_radius, or list capsules")
+            'no moving link of the URDF has collision geometry to fit capsules to; list '
+            "capsules, or give a link_radius (in a file with 'link_shapes: straight')")
     joint, most = Counter(element.joint for element in elements).most_common(1)[0]
     if most > _MOST_ON_JOINT or len(elements) > _MOST_ELEMENTS:
         raise RobotError(

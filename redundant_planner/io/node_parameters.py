@@ -35,11 +35,6 @@ class PlannerNodeParameters:
         0.1, low=0.005, high=10.0, unit='s', runtime=True,
         description='Without joint_states for this long the arm is stopped and nothing is '
                     'published until they are back.')
-    position_tolerance: float = parameter(
-        0.1, low=1e-3, high=10.0, unit='rad, m',
-        description='Everything starts again from the measured posture when it jumps by more than '
-                    'this beyond what the arm can travel, and the commanded positions when they '
-                    'are further from it than this.')
     enable_stamped_cmd_vel: bool = parameter(
         False, description='cmd_vel is TwistStamped instead of Twist: it says its frame (base or '
                            'tip) and when it was meant.')
@@ -55,11 +50,6 @@ class PlannerNodeParameters:
     publish_ticks: bool = parameter(
         False, description='Whether every input of every tick is published on ~/ticks: a bag of '
                            'them can be replayed to the last digit.')
-    diagnostics_rate: float = parameter(
-        5.0, low=0.0, high=50.0, unit='Hz', description='Rate of /diagnostics; 0 for none.')
-    marker_rate: float = parameter(
-        5.0, low=0.0, high=50.0, unit='Hz',
-        description='Rate of ~/markers while somebody listens; 0 for none.')
     thread_priority: int = parameter(
         40, low=0, high=98,
         description='Real-time priority (SCHED_FIFO) of the loop, where the system grants it; 0 '

@@ -26,12 +26,15 @@ from redundant_planner.core.parameters import (
     COMMAND_FRAMES,
     parameter,
     PlannerParameters,
+    ros_name,
+    spec_of,
 )
 from redundant_planner.io.node_parameters import (
     FakeHardwareParameters,
     PlannerNodeParameters,
     PlayerParameters,
 )
+from redundant_planner.io.renamed_parameters import flat, what_became_of
 from redundant_planner.io.resources import read_text, resolve, yaml_content
 
 Settings = TypeVar('Settings')
@@ -148,8 +151,9 @@ def settings_of(settings: type[Settings], values: Mapping[str, Any]) -> Settings
     Raises:
         ParameterError: a value does not fit.
     """
-    names = {entry.name for entry in fields(settings)}  # type: ignore[arg-type]
-    return settings(**{key: value for key, value in values.items() if key in names})
+    names = {ros_name(entry): entry.name for entry in fields(settings)}  # type: ignore[arg-type]
+    return settings(**{names[name]: value for name, value in flat(values).items()
+                       if name in names})
 
 
 def read_parameter_file(path: Path) -> dict[str, Any]:
@@ -165,7 +169,10 @@ def read_parameter_file(path: Path) -> dict[str, Any]:
     except PlannerError as error:
         raise ParameterError(str(error)) from None
     values = parameter_values(content, what)
-    unknown = unknown_names(values, known_parameters())
+    values = flat(values)
+    old = [sentence for sentence in map(what_became_of, values) if sentence]
+    unknown = old + unknown_names(
+        (name for name in values if not what_became_of(name)), known_parameters())
     if unknown:
         raise ParameterError(f'{what}: ' + '; '.join(unknown))
     return values
@@ -175,7 +182,8 @@ def known_parameters() -> list[str]:
     """Return the names that a file for this package's nodes may set."""
     groups = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
               PlayerParameters)
-    return [*(entry.name for group in groups for entry in fields(group)), *_NAMED, *_EVERY_NODES]
+    return [*(ros_name(entry) for group in groups for entry in fields(group)
+              if spec_of(entry).node), *_NAMED, *_EVERY_NODES]
 
 
 def parameter_values(content: Any, what: str) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""A robot as it stands in a parameter file: which URDF, which chain, which shapes.
+"""A robot from its URDF or parameter file: which chain, and which link shapes.
 
-The same file serves the nodes (`--params-file`) and everything offline.
+The same parameter file serves the nodes (`--params-file`) and everything offline.
 """
 
 from __future__ import annotations
@@ -9,13 +9,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
+import warnings
 
 import yaml
 
 from redundant_planner.core.cache_folder import cache_folder
 from redundant_planner.core.errors import known, ParameterError
+from redundant_planner.core.parameters import AXES, ros_name, spec_of
+from redundant_planner.core.robot import model
 from redundant_planner.core.robot.capsules import Capsule
-from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.simulated_arm import joint_ranges
 from redundant_planner.core.robot.urdf import Joint, read_urdf
 from redundant_planner.io.collision_geometry import links_without_shape
@@ -29,9 +31,97 @@ from redundant_planner.io.parameter_files import (
     urdf_folder,
     urdf_text,
 )
+from redundant_planner.io.resources import read_text, resolve
 
 # What forks after this many joints is a hand.
 _ARM_JOINTS = 6
+
+
+class Robot(model.Robot):
+    """A robot arm: a chain of joints from base to tip, their limits, and the links' shapes.
+
+    Every link is a set of capsules. `from_urdf` fits them to the collision geometry; the planner
+    keeps obstacles away from the capsules, so a link without one is unprotected.
+
+    Attributes:
+        name: the URDF's robot name.
+        urdf: the URDF's text.
+        base_frame: the link that twists, obstacles and poses refer to.
+        tip_frame: the link whose origin is the end effector.
+        joint_names: the n joints of the chain, base first.
+        axes: the m controlled axes, out of vx, vy, vz, wx, wy, wz.
+        command_frame: 'base' or 'tool', the axes in which a twist is expressed.
+        position_min: (n,) [rad, m], infinite for continuous joints.
+        position_max: (n,) [rad, m], likewise.
+        velocity_max: (n,) [rad/s, m/s].
+        acceleration_max: (n,) [rad/s², m/s²].
+        capsules: the link shapes.
+    """
+
+    @classmethod
+    def from_urdf(
+        cls, path: str | Path, tip_frame: str, *,
+        base_frame: str = '',
+        locked_positions: Mapping[str, float] | None = None,
+        axes: Sequence[str] = AXES,
+        command_frame: str = 'base',
+        velocity_max: Sequence[float] | float | None = None,
+        acceleration_max: Sequence[float] | float = 5.0,
+        capsules: Sequence[Capsule] | None = None,
+        link_radius: float | None = None,
+    ) -> Robot:
+        """Return the arm of a URDF file, with capsules fitted to its collision geometry.
+
+        The first fit of an arm takes some seconds; the result is kept in the user's cache folder.
+        A link that can be seen but has no collision geometry is named in a warning.
+
+        Args:
+            path: a file, or a `file://` or `package://` location. Its meshes may be relative to
+                it, or in a package that it lies in or that is installed.
+            tip_frame: the link whose origin is the end effector.
+            base_frame: the link that twists, obstacles and poses refer to; empty for the root.
+            locked_positions: joint name → position at which it is held [rad, m]. Other joints
+                outside the chain are held at 0, or at the limit nearest to it.
+            axes: the controlled axes; the null space may use the others.
+            command_frame: 'base' or 'tool', the axes in which a twist is expressed.
+            velocity_max: replaces the URDF's limits, one value or n [rad/s, m/s].
+            acceleration_max: one value or n [rad/s², m/s²]; a URDF has none. Ask the maker.
+            capsules: these link shapes instead of fitted ones.
+            link_radius: straight capsules of this radius from joint to joint instead of fitted
+                ones [m]; 0 for bare lines.
+
+        Raises:
+            PlannerError: there is no such file.
+            RobotError: the URDF is malformed, a name is unknown, the frames make no chain, a
+                limit makes no sense, or there is no collision geometry to fit capsules to.
+        """
+        file = resolve(str(path))
+        urdf = read_text(file)
+
+        def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
+            return cls(
+                urdf, tip_frame, base_frame=base_frame, locked_positions=locked_positions,
+                axes=axes, command_frame=command_frame, velocity_max=velocity_max,
+                acceleration_max=acceleration_max, capsules=shapes, link_radius=link_radius)
+
+        if capsules is not None or link_radius is not None:
+            return robot_with(capsules)
+        return robot_with(_fitted(robot_with([]), file.parent, warnings.warn))
+
+    @classmethod
+    def from_file(cls, path: str | Path, **changes: Any) -> Robot:
+        """Return the arm of a robot parameter file, as the nodes take it.
+
+        Args:
+            path: a file, or a `file://` or `package://` location, that starts with
+                `/**: ros__parameters:`. `config/robots` has examples.
+            changes: robot parameters that replace those of the file, such as `axes` or `urdf`.
+
+        Raises:
+            ParameterError: the file is not a parameter file, or a value does not fit.
+            PlannerError: there is no such file, or it does not describe a robot.
+        """
+        return _robot_of_file(resolve(str(path)), changes, warnings.warn)
 
 
 def build_robot(
@@ -73,10 +163,17 @@ def build_robot(
         kept = ('once for all starts to come' if cache_folder() is not None else
                 'at every start: there is no cache folder that nobody else can write to')
         say(f"fitting capsules to the URDF's collision geometry, {kept}")
-    fits = fitted_capsules(bare, urdf_folder(p, folder))
+    return robot_with(_fitted(bare, urdf_folder(p, folder), warn))
+
+
+def _fitted(
+    bare: model.Robot, folder: Path | None, warn: Callable[[str], object] | None,
+) -> list[Capsule]:
+    """Return capsules fitted to a robot without shapes; `folder` and `warn` as above."""
+    fits = fitted_capsules(bare, folder)
     if warn is not None and (unprotected := links_without_shape(bare)):
         warn(f'no collision geometry, so nothing keeps obstacles away: {known(unprotected)}')
-    return robot_with([capsule for fit in fits for capsule in fit.capsules])
+    return [capsule for fit in fits for capsule in fit.capsules]
 
 
 def joints_to_measure(parameters: RobotParameters, urdf: str) -> tuple[str, ...]:
@@ -111,12 +208,18 @@ def load_robot(path: Path, **changes: Any) -> Robot:
     Raises:
         PlannerError: the file is unusable, with what is wrong.
     """
+    return _robot_of_file(path, changes, None)
+
+
+def _robot_of_file(
+    path: Path, changes: Mapping[str, Any], warn: Callable[[str], object] | None,
+) -> Robot:
     parameters, capsules = read_robot_parameters(path)
     parameters = replace(parameters, **changes)
     urdf = urdf_text(parameters, path.parent)
     if not urdf:
         raise ParameterError(f"'{path}' gives no robot: set 'urdf'")
-    return build_robot(parameters, urdf, capsules, folder=path.parent)
+    return build_robot(parameters, urdf, capsules, folder=path.parent, warn=warn)
 
 
 def robot_of_values(values: Mapping[str, Any]) -> Robot:
@@ -170,7 +273,7 @@ def likely_tip(urdf: str) -> str:
 
 
 def parameter_file_text(
-    parameters: RobotParameters, robot: Robot, static: Mapping[str, Mapping[str, Any]],
+    parameters: RobotParameters, robot: model.Robot, static: Mapping[str, Mapping[str, Any]],
     *settings: Any,
 ) -> str:
     """Return a ROS parameter file that needs no other file: the URDF and all capsules are in it.
@@ -183,7 +286,8 @@ def parameter_file_text(
     """
     values: dict[str, Any] = {}
     for group in (parameters, *settings):
-        values |= {entry.name: getattr(group, entry.name) for entry in fields(group)}
+        values |= {ros_name(entry): getattr(group, entry.name) for entry in fields(group)
+                   if spec_of(entry).node}
     values |= {'urdf': '', 'robot_description': robot.urdf,
                'capsules': [c.name for c in robot.capsules],
                'capsule': {c.name: capsule_entry(c) for c in robot.capsules},

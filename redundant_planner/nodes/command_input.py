@@ -1,9 +1,8 @@
-"""What the operator asks for: the latest twist, how old it is, and what will come after it."""
+"""The operator's command: the latest twist, its age, and the preview of later ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +21,7 @@ _ANNOUNCED = 3600.0
 
 
 class CommandInput:
-    """The twist that holds at the moment; it ages by the time it was received.
+    """The twist in force; it ages from the moment it came.
 
     Attributes:
         frame: 'base' or 'tool', the axes of the latest twist.
@@ -37,10 +36,10 @@ class CommandInput:
         """Begin without a command.
 
         Args:
-            frames: what the base's and the tip's frames are called → 'base' or 'tool'.
+            frames: names of the base's and the tip's frames → 'base' or 'tool'.
             command_frame: of messages that name no frame.
             clock: of the loop, by which commands age [s].
-            ros_time: of message stamps [s].
+            ros_time: that message stamps are compared with [s].
             warn: takes a sentence about a message that was refused.
         """
         self._frames, self._command_frame = frames, command_frame
@@ -56,14 +55,14 @@ class CommandInput:
     def forget(self) -> None:
         """Drop the command: motion begins with a new one.
 
-        A preview stays. It moves nothing by itself, and what it announced is still to come.
+        A preview stays: it moves nothing by itself, and the motion it announced is still to come.
         """
         self._twist: Array = np.zeros(6)
         self._time = -np.inf
         self.frame = self._command_frame
 
     def forget_preview(self) -> None:
-        """Drop what was announced, where its time no longer means anything."""
+        """Drop the preview: its time means nothing any more."""
         self._preview: Preview | None = None
 
     def age(self) -> float:
@@ -72,18 +71,22 @@ class CommandInput:
 
     def twist(self, timeout: float) -> Array:
         """Return the twist (6,) in the axes of `frame`; zero when it is older than `timeout`."""
-        return self._twist if self.age() <= timeout else np.zeros(6)
+        return self._twist if self._is_fresh(timeout) else np.zeros(6)
 
     def ahead(self, timeout: float) -> TwistAhead | None:
-        """Return what will be commanded from now on.
+        """Return the twists that will be commanded from now on.
 
         None without a preview that still holds, or with a command older than `timeout`.
         """
         preview, elapsed = self._preview, self._clock() - self._preview_start
-        if preview is None or elapsed > preview.times[-1] or self.age() > timeout:
+        if preview is None or elapsed > preview.times[-1] or not self._is_fresh(timeout):
             return None
         self._ahead_at = elapsed
         return lambda times: preview.between(times + elapsed)
+
+    def _is_fresh(self, timeout: float) -> bool:
+        """Return whether the command counts; one in the future is of a clock that was set back."""
+        return 0.0 <= self.age() <= timeout
 
     def preview_elapsed(self) -> float:
         """Return where in the preview `ahead` last began [s]."""
@@ -97,10 +100,10 @@ class CommandInput:
             self._warn(f'cmd_vel ignored: {error}')
 
     def on_twist_stamped(self, raw: bytes) -> None:
-        """Take a serialised TwistStamped, which says its frame and when it was meant.
+        """Take a serialised TwistStamped, which gives its frame and its time.
 
-        No stamp counts as now; one that is too old for the loop to have waited for, or from a
-        clock that runs ahead, is refused, so that a mismatch of clocks cannot move the arm.
+        No stamp counts as now. A stamp older than `timeout`, or one from a clock that runs ahead,
+        is refused: two clocks that differ must not move the arm.
         """
         try:
             stamp, name, twist = messages.stamped_twist_from_bytes(raw)
@@ -129,9 +132,9 @@ class CommandInput:
         self.frame = frame
 
     def on_preview(self, raw: bytes) -> None:
-        """Take a serialised preview: what will be commanded, from the message's stamp on.
+        """Take a serialised preview: the commands from the message's stamp on.
 
-        One that begins too late or is over already counts, but is not looked at.
+        A preview that begins too late or is over counts in `previews`, but is not used.
         """
         try:
             stamp, preview = read_preview(raw)
@@ -146,9 +149,3 @@ class CommandInput:
             self._warn(f'cmd_vel_preview ignored: by its stamp it begins {-late:.3f} s from now '
                        f'and ends {preview.times[-1] - late:.3f} s from now; do sender and '
                        'planner use the same clock (use_sim_time)?')
-
-
-def sender_names(publishers: list[Any]) -> list[str]:
-    """Return the full node names of publishers as the ROS graph knows them, by the alphabet."""
-    return sorted('a node whose name is not known yet' if 'UNKNOWN' in p.node_name
-                  else f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in publishers)

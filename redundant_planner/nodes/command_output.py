@@ -1,4 +1,4 @@
-"""joint_command, and the same command in the words of ros2_control's controllers."""
+"""Publishes joint_command, and the same command for ros2_control's controllers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 
 class CommandOutput:
-    """Publishes every command on joint_command and on the outputs asked for besides."""
+    """Publishes each command on joint_command and on the other outputs."""
 
     def __init__(
         self, node: Node, joint_names: Sequence[str], outputs: Sequence[str], period: float,
@@ -32,7 +32,7 @@ class CommandOutput:
             node: to create them on.
             joint_names: the n joints.
             outputs: out of `OUTPUTS`; each is the name of its topic.
-            period: between commands, in which a trajectory's point shall be reached [s].
+            period: between commands; a trajectory reaches its point after one [s].
         """
         self._publisher = node.create_publisher(JointState, 'joint_command', 10)
         self._writer = JointWriter(joint_names)
@@ -48,12 +48,12 @@ class CommandOutput:
         self._publisher.publish(self._writer.message(stamp_ns, positions, velocities))
         if not self._others:
             return
-        # Arrays go in unseen, lists would be checked number by number.
+        # rclpy checks lists number by number, arrays not at all.
         position, velocity = (
             array.array('d', values.tobytes()) for values in (positions, velocities))
         for name, publisher in self._others.items():
             if name == JOINT_TRAJECTORY:
-                # Without a stamp it begins on arrival.
+                # Without a stamp the trajectory begins on arrival.
                 self._trajectory.header.stamp = Time()
                 self._trajectory.points = [JointTrajectoryPoint(
                     positions=position, velocities=velocity, time_from_start=self._reach)]

@@ -1,17 +1,17 @@
-"""When commands go out: at even moments, although ticks begin and end when they can."""
+"""Sends commands at even moments, although ticks begin and end at uneven ones."""
 
 from __future__ import annotations
 
 from pathlib import Path
 import time
 
-# A tick begins this share of the period before its command is due, and not longer before [s]: time
-# enough to plan a joint path around something, too.
+# A tick begins this share of the period before its command is due, but at most this long [s]. The
+# time is enough to plan a joint path around an obstacle.
 _SHARE = 0.35
 _LONGEST = 1e-3
-# The last bit of a wait is not slept: the system wakes nobody up to the microsecond [s].
+# The last part of a wait is not slept, as the system wakes a process some microseconds late [s].
 _AWAKE = 20e-6
-# What the beat falls back by per period, so that it is found again after it was put too early.
+# The due times fall back by this share per period, so that they recover from being too early.
 _CREEP = 1e-4
 _TIMER_SLACK = Path('/proc/self/timerslack_ns')
 
@@ -19,9 +19,9 @@ _TIMER_SLACK = Path('/proc/self/timerslack_ns')
 class CommandPacer:
     """Moments one period apart, as early as the ticks allow.
 
-    What delays a tick now and then (another callback, a QP to solve) would shift its command, and
-    so lengthen one period and shorten the next. Therefore a tick begins a little before its
-    command is due, and a command that is ready waits.
+    Another callback or a QP to solve may delay a tick. Its command would come late, one period
+    would be longer and the next one shorter. Therefore a tick begins a little before its command
+    is due, and a command that is ready waits.
 
     Attributes:
         waited: how long the command of the last tick has waited [s].
@@ -41,8 +41,8 @@ class CommandPacer:
     def begin(self, now: float) -> float:
         """Return when the command of a tick that begins now is due [s].
 
-        No timer is early, so the earliest ticks tell where the beat is; one that begins late
-        leaves it alone, and its command may be overdue already.
+        No timer is early, so the earliest ticks tell when commands are due. A late tick changes
+        nothing, and its command may be overdue already.
         """
         self.waited = 0.0
         latest = now + self._lead
@@ -57,7 +57,7 @@ class CommandPacer:
         return now + self._lead >= self._due + self._period
 
     def wait(self) -> None:
-        """Wait until the command is due, if it is not yet and a tick has ever begun."""
+        """Wait until the command is due; not before the first tick has begun."""
         begin = time.monotonic()
         early = self._due - begin
         if not 0.0 < early <= self._lead:
@@ -70,7 +70,7 @@ class CommandPacer:
 
 
 def wake_up_in_time() -> None:
-    """Have Linux wake the main thread when it asked for it, not up to 50 µs later, if it may."""
+    """Have Linux wake the main thread on time, not up to 50 µs later, if it permits that."""
     try:
         _TIMER_SLACK.write_text('1')
     except OSError:

@@ -17,14 +17,15 @@ from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedAr
 from redundant_planner.io.node_parameters import FakeHardwareParameters
 from redundant_planner.io.parameter_files import RobotParameters, urdf_text
 from redundant_planner.nodes import messages, runtime
+from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.joint_messages import JointWriter
 from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
 
 Array = npt.NDArray[np.float64]
 
 
-class FakeHardwareNode(runtime.EndableNode):
-    """Stands in for an arm: obeys velocities within the URDF's limits, and echoes its state."""
+class FakeHardwareNode(EndableNode):
+    """Stands in for an arm: obeys velocities within the URDF's limits and publishes its state."""
 
     def __init__(self) -> None:
         """Read the URDF and stand at the start posture.

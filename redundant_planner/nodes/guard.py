@@ -1,20 +1,21 @@
-"""The net below everything else: an exception that nobody foresaw costs what it came from."""
+"""Contains unforeseen exceptions: each costs only the work that it came from."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 import time
 import traceback
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
+Arguments = ParamSpec('Arguments')
 Result = TypeVar('Result')
 
-# The same place is heard this often at most [s].
+# Exceptions of one place are logged this often at most [s].
 _LOG_PERIOD = 1.0
 
 
 class Guard:
-    """Counts the exceptions of a node's parts and tells the log about them.
+    """Counts the exceptions of a node's parts and logs them.
 
     Attributes:
         count: exceptions so far.
@@ -36,8 +37,8 @@ class Guard:
         """Count an exception, and log it with its traceback, once a second for each place.
 
         Args:
-            place: what was under way, for the reader of the log.
-            error: what came of it.
+            place: the work that was under way, for the reader of the log.
+            error: the exception.
         """
         self.count += 1
         self.last = f'{place}: {line_of(error)}'
@@ -47,10 +48,13 @@ class Guard:
             self._log(f'unforeseen fault {self.count} in {place}; the node goes on\n'
                       + ''.join(traceback.format_exception(error)).rstrip())
 
-    def call(self, place: str, function: Callable[[], Result]) -> Result | None:
-        """Return what a function returns; None where it raises."""
+    def call(
+        self, place: str, function: Callable[Arguments, Result], *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Result | None:
+        """Return what a function returns; None if it raises."""
         try:
-            return function()
+            return function(*arguments, **options)
         except Exception as error:
             self.caught(place, error)
             return None

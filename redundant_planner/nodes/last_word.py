@@ -1,9 +1,9 @@
 """A second process that brings the arm to rest if planner_node's own dies in motion.
 
-Python can answer neither SIGKILL nor a segmentation fault, and a velocity command holds until
-the next one. So planner_node forks before it starts, and notes every command in memory that both
-processes share. The fork waits at a pipe whose other end only the planner holds; the system
-closes that end when the planner dies, however it dies.
+Python cannot handle SIGKILL or a segmentation fault, and a velocity command holds until the next
+one. So planner_node forks before it starts, and notes every command in memory that both processes
+share. The fork waits at a pipe whose other end only the planner holds. The system closes that end
+when the planner dies, for any reason.
 """
 
 from __future__ import annotations
@@ -29,36 +29,36 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from redundant_planner.core.safety.safety_filter import braked
+from redundant_planner.core.safety.limits import braked
 from redundant_planner.core.safety.stopping import PositionCommand
 from redundant_planner.nodes import runtime
 from redundant_planner.nodes.command_output import CommandOutput
 
 Array = npt.NDArray[np.float64]
 
-# What the name of the second node ends in, and how it does where nothing is wrong.
+# The end of the second node's name, and its states while nothing is wrong.
 SUFFIX = '_last_word'
 STARTING, READY = 'starting', 'ready'
-# The stop at the end: how often it is said, with what pauses [s], and how long an
-# acknowledgement may take [s].
+# The stop at the end: how often it is published, the pause between two [s], and how long to wait
+# for an acknowledgement [s].
 STOPS = 3
 PAUSE = 0.01
 ACKNOWLEDGED = 0.3
 
-# A drive that has heard nothing for so long has stopped by itself and must not be set in motion
-# again: it is told to stop, nothing else [s].
+# A drive without a command for this long has stopped by itself. It must not move again, so the
+# second process publishes the stop alone [s].
 _STALE = 0.25
-# Who has not found the second node yet when it speaks hears the stop as soon as he has; it waits
-# for so many as listened to the planner, but not longer than this [s].
+# A listener that has not found the second node yet would miss the stop. The second node waits
+# until as many listen to it as listened to the planner, but not longer than this [s].
 _FOUND = 10.0
-# How often it counts who listens [s].
+# How often it counts its listeners [s].
 _LOOK = 0.5
 # How long the planner waits at its own end for the other process to leave [s].
 _LEAVING = 1.0
 
-# Shared memory: how many commands were noted, what the process does, how many listen to the
-# planner and to it, and two places for commands, written in turns: whoever dies while writing one
-# leaves the other.
+# Shared memory: the number of commands so far, the state of the second process, the listeners of
+# the planner and of the second process, and two places for commands. The planner writes them in
+# turns: if it dies while writing one, the other is whole.
 _SIZE = 1 << 16
 _COUNT = struct.Struct('@Q')  # native, as it is then written at once
 _STATE = _COUNT.size
@@ -71,7 +71,7 @@ _END = b'end\n'
 
 @dataclass(frozen=True)
 class Brief:
-    """What it takes to speak for a planner.
+    """All that the second process needs to stop the arm in the planner's place.
 
     Attributes:
         node, namespace: the planner's.
@@ -146,7 +146,7 @@ class CommandMemory:
 
 
 class LastWord:
-    """The planner's side: it tells the other process what it must know, and when it may leave."""
+    """The planner's side: it briefs the other process, and tells it when to leave."""
 
     def __init__(self, pid: int, pipe: int, memory: mmap.mmap | None, trouble: str = '') -> None:
         """Use `stand_by` or `absent` instead."""
@@ -157,7 +157,7 @@ class LastWord:
 
     @classmethod
     def absent(cls, why: str) -> LastWord:
-        """Return one that nobody listens to."""
+        """Return one without a second process."""
         return cls(0, -1, None, why)
 
     @classmethod
@@ -173,12 +173,12 @@ class LastWord:
             read_end, write_end = os.pipe()
         except OSError as error:
             return cls.absent(f'no pipe or no memory to share: {error}')
-        # What the collector has looked at before stays shared between the two.
+        # Objects that the collector has seen stay shared between the two processes.
         gc.collect()
         gc.freeze()
         try:
             with warnings.catch_warnings():
-                # The other threads by now are OpenBLAS's, which stop for a fork, and LTTng's.
+                # Python warns of other threads: OpenBLAS's stop for a fork, LTTng's do no harm.
                 warnings.simplefilter('ignore', DeprecationWarning)
                 pid = os.fork()
         except OSError as error:
@@ -191,7 +191,7 @@ class LastWord:
         return cls(pid, write_end, memory)
 
     def brief(self, brief: Brief) -> None:
-        """Tell what the robot is, before the first command."""
+        """Tell the second process about the robot, before the first command."""
         if self._commands is None:
             return
         if not self._commands.prepare(len(brief.joint_names)):
@@ -205,7 +205,7 @@ class LastWord:
             self._commands.note(stamp_ns, positions, velocities)
 
     def state(self, listeners: int) -> str:
-        """Return `STARTING`, `READY`, or why nobody would stop the arm.
+        """Return `STARTING`, `READY`, or why no process would stop the arm.
 
         Args:
             listeners: how many subscribe to the planner's joint_command; the other process is
@@ -224,13 +224,13 @@ class LastWord:
         return self._trouble
 
     def end(self) -> None:
-        """Let the other process go without a word, as the arm rests."""
+        """End the other process without a stop, as the arm rests."""
         if self._pipe >= 0:
             self._tell(_END)
             self._leave()
 
     def hand_over(self) -> None:
-        """Have the other process stop the arm now, as this one cannot; it must be silent then."""
+        """Have the other process stop the arm, as this one cannot; publish nothing afterwards."""
         if self._pipe >= 0:
             self._leave()
 
@@ -261,11 +261,11 @@ class LastWord:
 def _second_process(pipe: int, memory: mmap.mmap, args: list[str] | None) -> NoReturn:
     """Live as the other process, and end it."""
     try:
-        gc.disable()  # whatever it looks at would be copied
+        gc.disable()  # the collector would copy each object that it looks at
         os.setsid()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
-        # Who waits for the planner waits until nobody holds its output any more.
+        # A process that reads the planner's output waits until all copies of it are closed.
         nothing = os.open(os.devnull, os.O_RDWR)
         for stream in range(3):
             os.dup2(nothing, stream)
@@ -287,7 +287,7 @@ def _wait_and_speak(pipe: int, memory: mmap.mmap, args: list[str] | None) -> Non
             return
         brief = Brief(**json.loads(line))
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        # Not the global arguments: they would rename this node as well.
+        # The global arguments would rename this node as well.
         remap = [word for name, topic in brief.topics.items()
                  for word in ('-r', f'{name}:={topic}')]
         node = Node(
@@ -315,13 +315,13 @@ def speak(
     brief: Brief, last: NotedCommand, output: CommandOutput, listeners: int,
     clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Bring an arm to rest that was last told to move.
+    """Bring an arm to rest whose last command was a motion.
 
     Args:
         brief: about the planner and its robot.
         last: command that was noted.
         output: takes the commands.
-        listeners: how many must have had the chance to hear the stop.
+        listeners: how many must find the output before the stop is published.
         clock, sleep: of the system [s].
     """
     dq, positions = last.velocities, last.positions

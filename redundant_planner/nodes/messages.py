@@ -1,4 +1,4 @@
-"""ROS messages to core types and back; what may be wrong in a message is caught here."""
+"""ROS messages to core types and back; refuses bad numbers, joints and lengths."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ from redundant_planner.io.cdr import byte_order, ENCAPSULATION, text
 Array = npt.NDArray[np.float64]
 
 NANOSECONDS = 1_000_000_000
-# Entries of a twist beyond this were not meant, whatever linear_speed_max slows them to
-# [m/s, rad/s].
+# Nobody means a twist with larger entries, even if linear_speed_max would slow it [m/s, rad/s].
 FASTEST = 1e3
-# Positions and velocities of joints beyond this were not measured [rad, m; per s].
+# No joint measures larger positions and velocities [rad, m; per s].
 LARGEST = 1e6
 
 
@@ -35,7 +34,7 @@ def seconds_of(stamp: Time | Duration) -> float:
 
 
 def checked_twist(twist: Array) -> Array:
-    """Return a twist (6,) that can be meant.
+    """Return a twist (6,) within the bounds.
 
     Raises:
         StateError: an entry is not finite or beyond `FASTEST`.
@@ -124,14 +123,14 @@ def velocities_from_message(message: JointState, joint_names: Sequence[str]) -> 
 def values_of(
     names: Sequence[str], values: Sequence[float], joint_names: Sequence[str], field: str,
 ) -> Array:
-    """Return the values (n,) of the joints asked for, whatever their order in a message.
+    """Return the values (n,) of the named joints, in any order of the message.
 
-    Joints that are not asked for are ignored.
+    Other joints are ignored.
 
     Args:
         names, values: of the message.
-        joint_names: asked for.
-        field: what the values are, for messages.
+        joint_names: whose values to return.
+        field: the name of the values, for messages.
 
     Raises:
         StateError: a joint is missing or appears twice, lengths differ, or a value is not finite

@@ -24,13 +24,15 @@ from rclpy.parameter import Parameter
 import yaml
 
 from redundant_planner.core.errors import ParameterError, PlannerError, shown, unknown_names
-from redundant_planner.core.parameters import checked, PlannerParameters, spec_of
+from redundant_planner.core.parameters import checked, PlannerParameters, ros_name, spec_of
 from redundant_planner.io.node_parameters import (
     FakeHardwareParameters,
     PlannerNodeParameters,
     PlayerParameters,
 )
 from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.renamed_parameters import what_became_of
+from redundant_planner.nodes.rclpy_internals import given_parameters
 
 Settings = TypeVar('Settings')
 
@@ -50,14 +52,17 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
     values = {}
     said = disputed(tuple(sys.argv), node.get_fully_qualified_name())
     for entry in fields(settings):  # type: ignore[arg-type]
-        node.declare_parameter(entry.name, None, ParameterDescriptor(dynamic_typing=True))
-        given = said.get(entry.name, node.get_parameter(entry.name).value)
+        if not spec_of(entry).node:
+            continue
+        name = ros_name(entry)
+        node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True))
+        given = said.get(name, node.get_parameter(name).value)
         value = entry.default if given is None else checked(entry, given)
         values[entry.name] = value
         if value != ():
             node.set_parameters([Parameter(
-                entry.name, value=list(value) if isinstance(value, tuple) else value)])
-        node.set_descriptor(entry.name, _descriptor(entry))
+                name, value=list(value) if isinstance(value, tuple) else value)])
+        node.set_descriptor(name, _descriptor(entry))
     return settings(**values)
 
 
@@ -222,7 +227,7 @@ def unknown_parameters(node: Node) -> list[str]:
     names = {*_ROS, *node.list_parameters([], 0).names}
     for settings in (RobotParameters, PlannerParameters, PlannerNodeParameters,
                      FakeHardwareParameters, PlayerParameters):
-        names |= {entry.name for entry in fields(settings)}
+        names |= {ros_name(entry) for entry in fields(settings) if spec_of(entry).node}
     not_mine = ['qos_overrides.']
     for prefix, listed, sizes in (
             ('capsule', 'capsules', CAPSULE), ('static_obstacle', 'static_obstacles',
@@ -232,9 +237,13 @@ def unknown_parameters(node: Node) -> list[str]:
                       for key in sizes}
         else:
             not_mine.append(f'{prefix}.')
-    given = node._parameter_overrides  # rclpy has no public name for it
-    return unknown_names(
-        (name for name in given if not name.startswith(tuple(not_mine))), names)
+    given = given_parameters(node)
+    if given is None:
+        return ['this rclpy does not tell which parameters were given: a misspelt one stays '
+                'unnoticed']
+    given = [name for name in given if not name.startswith(tuple(not_mine))]
+    return [*filter(None, map(what_became_of, given)),
+            *unknown_names((name for name in given if not what_became_of(name)), names)]
 
 
 def on_change(
@@ -270,8 +279,8 @@ def changed(settings: Iterable[Any], changes: Mapping[str, Any]) -> list[Any]:
     Raises:
         ParameterError: a value does not fit.
     """
-    return [replace(setting, **{entry.name: changes[entry.name] for entry in fields(setting)
-                                if entry.name in changes}) for setting in settings]
+    return [replace(setting, **{entry.name: changes[ros_name(entry)] for entry in fields(setting)
+                                if ros_name(entry) in changes}) for setting in settings]
 
 
 def changed_entries(
@@ -310,11 +319,13 @@ def parameter_page() -> str:
                   '|---|---|---|---|---|']
         for entry in fields(settings):
             spec = spec_of(entry)
+            if not spec.node:
+                continue
             allowed = ', '.join(spec.choices)
             if math.isfinite(spec.low) or math.isfinite(spec.high):
                 allowed = f'{spec.low:g} … {spec.high:g}'.replace('inf', '∞')
             default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
-            lines.append(f'| `{entry.name}`{" ●" if spec.runtime else ""} | `{default!r}` | '
+            lines.append(f'| `{ros_name(entry)}`{" ●" if spec.runtime else ""} | `{default!r}` | '
                          f'{spec.unit} | {allowed} | {spec.description} |')
         lines.append('')
     return '\n'.join(lines)

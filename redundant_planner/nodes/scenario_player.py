@@ -17,10 +17,11 @@ from redundant_planner.io.node_parameters import PlayerParameters
 from redundant_planner.io.resources import resolve
 from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes import messages, runtime
+from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
 
 
-class ScenarioPlayer(runtime.EndableNode):
+class ScenarioPlayer(EndableNode):
     """Plays one scenario once the planner listens and commands the arm."""
 
     def __init__(self) -> None:
@@ -55,7 +56,7 @@ class ScenarioPlayer(runtime.EndableNode):
 
     def _tick(self) -> None:
         if self.guard.count:
-            # Without cmd_vel the planner stops; to go on would be another scenario.
+            # The planner stops without cmd_vel; going on would play another scenario.
             self.get_logger().error(f'the scenario ends here: {self.guard.last}')
             self.status = 1
             self.end()

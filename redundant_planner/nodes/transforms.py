@@ -1,4 +1,4 @@
-"""Where other frames are, asked of tf2 where it is installed."""
+"""Looks other frames up in tf2, if it is installed."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from redundant_planner.io.obstacle_tracker import Transform
 
 
 def transform_lookup(node: Node, base_frame: str) -> Callable[[str], Transform] | None:
-    """Return a function from frame names to transforms; None where tf2_ros is not installed.
+    """Return a function from frame names to transforms; None if tf2_ros is not installed.
 
-    Only the first question makes the node listen to /tf, which costs every node that does.
+    The node listens to /tf only from the first look-up on, as listening costs time.
     """
     try:
         import tf2_ros

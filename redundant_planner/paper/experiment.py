@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,13 @@ import numpy.typing as npt
 from redundant_planner.analysis import metrics
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
-from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.jacobian import jacobian_derivative
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.parameter_files import read_parameter_file
+from redundant_planner.io.parameter_files import read_parameter_file, settings_of
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.scenario import load_scenario, Scenario
 from redundant_planner.paper import equation_17
+from redundant_planner.paper.method import planner_of
 from redundant_planner.simulation import Motion, simulate
 
 Array = npt.NDArray[np.float64]
@@ -93,8 +93,7 @@ def paper_scenario() -> Scenario:
 def paper_parameters(**changes: Any) -> PlannerParameters:
     """Return config/planner/paper.yaml, the method to the letter, with changes."""
     values = read_parameter_file(share_directory() / 'config' / 'planner' / 'paper.yaml')
-    names = {entry.name for entry in fields(PlannerParameters)}
-    return PlannerParameters(**{**{k: v for k, v in values.items() if k in names}, **changes})
+    return replace(settings_of(PlannerParameters, values), **changes)
 
 
 def methods() -> dict[str, PlannerParameters]:
@@ -107,19 +106,21 @@ def methods() -> dict[str, PlannerParameters]:
     """
     margin = 0.001
     return {
-        'gradient_projection': paper_parameters(method='gradient_projection', k_s=0.0, k_f=0.0),
+        'gradient_projection': paper_parameters(
+            method='paper_gradient_projection', criteria_k_s=0.0, criteria_k_f=0.0),
         'dynamic_factor': paper_parameters(),
-        'corrected': PlannerParameters(clearance_margin=margin, look_ahead=0.0),
+        'corrected': PlannerParameters(clearance_margin=margin, horizon_look_ahead=0.0),
         'gradient_projection_links': PlannerParameters(
-            method='gradient_projection', k_fixed=paper_parameters().k_fixed, k_w=1.0, k_f=0.0,
-            influence_distance=np.inf, clearance_smoothing=0.0, clearance_margin=margin),
+            method='gradient_projection', criteria_k_fixed=paper_parameters().criteria_k_fixed,
+            criteria_k_w=1.0, criteria_k_f=0.0,
+            clearance_influence_distance=np.inf, clearance_smoothing=0.0, clearance_margin=margin),
     }
 
 
 def run(scenario: Scenario, robot: Robot, parameters: PlannerParameters) -> Run:
     """Simulate one method on the scenario and measure it."""
     scene = Scene.of(scenario.obstacles)
-    motion = simulate(Planner(robot, parameters), scenario.start_posture(robot),
+    motion = simulate(planner_of(robot, parameters), scenario.start_posture(robot),
                       scenario.twist_at, scene, scenario.duration, TICK)
     columns = [robot.joint_names.index(name) for name in JOINTS]
     q, dq = motion.positions[:, columns], motion.velocities[:, columns]
@@ -229,7 +230,8 @@ def fit_table_1() -> dict[str, float]:
     columns = [robot.joint_names.index(name) for name in JOINTS]
 
     def error(base: PlannerParameters, column: Array, gains: dict[str, Any]) -> Array:
-        planner = Planner(robot, replace(base, **gains))
+        planner = planner_of(robot, replace(
+            base, **{f'criteria_{name}': gain for name, gain in gains.items()}))
         motion = simulate(planner, start, scenario.twist_at, scene, scenario.duration, TICK)
         return motion.positions[-1, columns] - column
 

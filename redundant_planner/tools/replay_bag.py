@@ -19,9 +19,8 @@ from redundant_planner.analysis.bag_analysis import COMMAND_TIMEOUT, robot_of_ba
 from redundant_planner.core.errors import ParameterError, PlannerError, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters
-from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.safety.safety_filter import braked
+from redundant_planner.core.safety.limits import braked
 from redundant_planner.io.bag_files import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
@@ -41,6 +40,7 @@ from redundant_planner.io.recording import (
     open_bag,
     sound_twist,
 )
+from redundant_planner.paper.method import planner_of
 
 Array = npt.NDArray[np.float64]
 
@@ -265,7 +265,7 @@ def _rows(
     if not ticks:
         raise RecordingError('the bag is too short: no tick lies between its first joint state '
                              'and its last')
-    planner = Planner(robot, parameters)
+    planner = planner_of(robot, parameters)
     values = inputs.values
     book = ObstacleTracker(
         recorded_obstacles(values, inputs.notes), (), transform=as_it_is,

@@ -46,10 +46,10 @@ def test_only_nodes_and_the_live_runner_touch_ros():
         assert not used, f'{path} imports {used}'
 
 
-def test_only_two_files_know_the_library_for_bags():
+def test_only_three_files_know_the_library_for_bags():
     users = [p.name for p in PACKAGE.rglob('*.py')
              if any(n.startswith('rosbags') for n in imports(p))]
-    assert sorted(users) == ['bag_writer.py', 'recording.py']
+    assert sorted(users) == ['bag_writer.py', 'recording.py', 'rosbags_internals.py']
 
 
 @pytest.mark.parametrize('module', [
@@ -60,3 +60,12 @@ def test_who_needs_no_mathematics_loads_none(module):
             'print(*{"numba", "pinocchio", "daqp", "scipy", "matplotlib"} & set(sys.modules))')
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ''
+
+
+def test_private_parts_of_rclpy_are_used_in_one_file():
+    private = {'_subscriptions', '_parameter_overrides', 'take_message', 'rclpy_implementation'}
+    for path in PACKAGE.rglob('*.py'):
+        used = {node.attr for node in ast.walk(ast.parse(path.read_text()))
+                if isinstance(node, ast.Attribute)} & private
+        used |= {name for name in imports(path) if name.startswith('rclpy.impl')}
+        assert not used or path.name == 'rclpy_internals.py', f'{path} uses {used}'

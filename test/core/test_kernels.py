@@ -38,7 +38,7 @@ def motion(method: str) -> list[list[float]]:
     """Joint velocities of an arm that runs into an obstacle, limits and its own braking."""
     robot = make_panda()
     planner = Planner(robot, PlannerParameters(
-        method=method, horizon_nodes=4, influence_distance=0.4))
+        method=method, horizon_nodes=4, clearance_influence_distance=0.4))
     scene = Scene.of([
         Obstacle('ball', np.array([0.45, 0.05, 0.45]), np.array([0.05, 0.04, 0.08])),
         Obstacle('other', np.array([0.3, -0.4, 0.6]), np.full(3, 0.1), velocity=(0.1, 0.2, 0))])

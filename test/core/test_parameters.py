@@ -17,19 +17,22 @@ from redundant_planner.core.parameters import PlannerParameters, spec_of
 from redundant_planner.core.planner import Planner
 
 # A start in which everything matters: near an obstacle, off the reference, in a hurry.
-BASE = PlannerParameters(k_s=0.1, damping_threshold=3.0, linear_speed_max=0.2)
+BASE = PlannerParameters(
+    criteria_k_s=0.1, singularity_damping_threshold=3.0, limits_linear_speed=0.2)
 CHANGES = {
-    'method': 'gradient_projection', 'k_fixed': 0.5, 'k_alpha': 0.3, 'k_w': 0.1, 'k_s': 1.0,
-    'k_f': 30.0, 'k_m': 1000.0, 'clearance_points': 'joints', 'clearance_smoothing': 5.0,
-    'influence_distance': 0.08, 'damping': 1.0, 'damping_threshold': 0.0,
-    'joint_weights': (5.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), 'drift_gain': 1.0,
-    'drift_distance': 0.001, 'drift_angle': 0.001, 'drift_speed': 0.001,
-    'drift_angular_speed': 0.001, 'linear_speed_max': 0.1,
-    'angular_speed_max': 0.1, 'safety_filter': False, 'position_margin': 0.0,
-    'clearance_margin': 0.05, 'barrier_gain': 0.5, 'path_priority': 'strict',
-    'look_ahead': 0.0, 'horizon': 0.5, 'horizon_held': 0.2, 'horizon_nodes': 3,
-    'obstacle_lead': 0.5, 'singularity_margin': 1.2, 'self_collision_margin': 0.3,
-    'evasion_horizon': 0.0,
+    'method': 'gradient_projection', 'path_priority': 'strict',
+    'criteria_k_fixed': 0.5, 'criteria_k_alpha': 0.3, 'criteria_k_w': 0.1, 'criteria_k_s': 1.0,
+    'criteria_k_f': 30.0, 'criteria_k_m': 1000.0,
+    'criteria_joint_weights': (5.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
+    'clearance_margin': 0.05, 'clearance_influence_distance': 0.08, 'clearance_smoothing': 5.0,
+    'clearance_self_margin': 0.3, 'clearance_gain': 0.5, 'clearance_lead': 0.5,
+    'clearance_evasion_horizon': 0.0,
+    'limits_position_margin': 0.0, 'limits_linear_speed': 0.1, 'limits_angular_speed': 0.1,
+    'singularity_margin': 1.2, 'singularity_damping': 1.0, 'singularity_damping_threshold': 0.0,
+    'horizon_duration': 0.5, 'horizon_held_duration': 0.2, 'horizon_nodes': 3,
+    'horizon_look_ahead': 0.0,
+    'feedback_gain': 1.0, 'feedback_speed': 0.001, 'feedback_angular_speed': 0.001,
+    'feedback_distance': 0.001, 'feedback_angle': 0.001,
 }
 
 
@@ -55,22 +58,22 @@ def test_the_list_of_changes_is_complete():
 @pytest.mark.parametrize('name', CHANGES)
 def test_every_parameter_has_an_effect(name):
     base = BASE
-    if name == 'k_fixed':
+    if name == 'criteria_k_fixed':
         base = replace(base, method='gradient_projection')
-    if name == 'k_m':
+    if name == 'criteria_k_m':
         base = replace(base, singularity_margin=0.5)
-    if name.startswith('horizon'):
+    if name.startswith('horizon') and name != 'horizon_look_ahead':
         base = replace(base, method='variational')
     options = {}
     if 'angular' in name or 'angle' in name:
         options['axes'] = ('vx', 'vy', 'vz', 'wy')
-    if name == 'position_margin':
+    if name == 'limits_position_margin':
         options['start'] = (0.38, 0.1, 0, 0.5233, -0.5233, 1.0467, 0.1)
-    if name == 'horizon':
+    if name == 'horizon_duration':
         options['known'] = True
-    if name in ('path_priority', 'obstacle_lead'):
+    if name in ('path_priority', 'clearance_lead'):
         options['drift'] = (-0.5, 0.5, -0.5)
-    if name == 'evasion_horizon':
+    if name == 'clearance_evasion_horizon':
         options |= {'other': (0.12, 0.3, 0.15), 'drift': (-0.3, 0.0, 0.0)}
     before = motion(base, **options)
     after = motion(replace(base, **{name: CHANGES[name]}), **options)
@@ -80,15 +83,15 @@ def test_every_parameter_has_an_effect(name):
 @pytest.mark.parametrize(('change', 'message'), [
     ({'method': 'magic'}, r"'method' is 'magic'; it must be one of 'gradient_projection'"),
     ({'method': 3}, r"'method' is 3; it must be a string"),
-    ({'k_alpha': -1.0}, r"'k_alpha' is -1.0; it must lie in \[0, 10\]"),
-    ({'k_alpha': 'fast'}, r"'k_alpha' is 'fast'; it must be a number"),
-    ({'k_alpha': True}, r"'k_alpha' is True; it must be a number"),
-    ({'k_alpha': float('nan')}, r"'k_alpha' is nan; it must be a number"),
-    ({'safety_filter': 1}, r"'safety_filter' is 1; it must be true or false"),
-    ({'joint_weights': 3.0}, r"'joint_weights' is 3.0; it must be a list"),
-    ({'joint_weights': (1.0, -1.0)}, r"'joint_weights' is -1.0; it must lie in"),
-    ({'drift_gain': 1e6}, r"'drift_gain' is 1000000.0; it must lie in \[0, 100\] 1/s"),
-    ({'damping': 0.0}, r"'damping' is 0 while 'damping_threshold'"),
+    ({'criteria_k_alpha': -1.0}, r"'criteria.k_alpha' is -1.0; it must lie in \[0, 10\]"),
+    ({'criteria_k_alpha': 'fast'}, r"'criteria.k_alpha' is 'fast'; it must be a number"),
+    ({'criteria_k_alpha': True}, r"'criteria.k_alpha' is True; it must be a number"),
+    ({'criteria_k_alpha': float('nan')}, r"'criteria.k_alpha' is nan; it must be a number"),
+    ({'criteria_joint_weights': 3.0}, r"'criteria.joint_weights' is 3.0; it must be a list"),
+    ({'criteria_joint_weights': (1.0, -1.0)}, r"'criteria.joint_weights' is -1.0; it must lie in"),
+    ({'feedback_gain': 1e6}, r"'feedback.gain' is 1000000.0; it must lie in \[0, 100\] 1/s"),
+    ({'singularity_damping': 0.0},
+     r"'singularity.damping' is 0 while 'singularity.damping_threshold'"),
 ])
 def test_wrong_values_are_refused_with_the_reason(change, message):
     with pytest.raises(ParameterError, match=message):
@@ -96,9 +99,9 @@ def test_wrong_values_are_refused_with_the_reason(change, message):
 
 
 def test_whole_numbers_serve_as_numbers_and_lists_as_tuples():
-    parameters = PlannerParameters(k_alpha=1, joint_weights=[1, 2, 3])
-    assert parameters.k_alpha == 1.0 and isinstance(parameters.k_alpha, float)
-    assert parameters.joint_weights == (1.0, 2.0, 3.0)
+    parameters = PlannerParameters(criteria_k_alpha=1, criteria_joint_weights=[1, 2, 3])
+    assert parameters.criteria_k_alpha == 1.0 and isinstance(parameters.criteria_k_alpha, float)
+    assert parameters.criteria_joint_weights == (1.0, 2.0, 3.0)
 
 
 def test_every_parameter_is_described():

@@ -8,27 +8,33 @@ from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
+from redundant_planner.core.constants import robot_constants
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
-from redundant_planner.core.planner import _Arm, _fastest_sway, _STRAY, _STRAY_ANGLE, Planner
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.se3 import integrate, Pose
-from redundant_planner.core.safety.safety_filter import Stage, stopping_time
+from redundant_planner.core.safety.barriers import fastest_self_motion, STRAY, STRAY_ANGLE
+from redundant_planner.core.safety.limits import stopping_time
+from redundant_planner.core.safety.stages import Stage
+from redundant_planner.paper.method import PaperPlanner
 
-LETTER = {
-    'clearance_points': 'joints', 'clearance_smoothing': 0.0, 'influence_distance': np.inf,
-    'damping': 0.0, 'damping_threshold': 0.0, 'drift_gain': 0.0, 'safety_filter': False,
-    'clearance_margin': 0.0, 'position_margin': 0.0, 'k_w': 1.0, 'k_m': 0.0}
+# Nothing but Eqs. 1, 2 and 18, where no filter acts.
+BARE = {'clearance_smoothing': 0.0, 'clearance_influence_distance': np.inf,
+        'singularity_damping': 0.0, 'singularity_damping_threshold': 0.0,
+        'feedback_gain': 0.0, 'clearance_margin': 0.0, 'limits_position_margin': 0.0,
+        'criteria_k_w': 1.0, 'criteria_k_m': 0.0}
 
 
 def test_equation_1_holds_term_by_term(robot):
     """J q̇ = ẋ and J (k P∇H) = 0 for any gradient, where nothing is damped or filtered."""
     obstacle = Scene.of([Obstacle('o', np.array([0.3, 0.2, 0.5]), np.full(3, 0.1))])
     random = np.random.default_rng(0)
-    planner = Planner(robot, PlannerParameters(**LETTER, k_s=0.5, k_f=0.3))
+    planner = Planner(robot, PlannerParameters(**BARE, criteria_k_s=0.5, criteria_k_f=0.3),
+                      filtered=False)
     for q in random_postures(robot, 20):
         planner.reset()
         twist = 0.1 * random.normal(size=6)
@@ -39,12 +45,13 @@ def test_equation_1_holds_term_by_term(robot):
         np.testing.assert_allclose(result.dq, result.least_norm + result.homogeneous)
         # Eq. 2 bounds the homogeneous part by kα times the least-norm part.
         assert (np.linalg.norm(result.homogeneous)
-                <= planner.parameters.k_alpha * np.linalg.norm(result.least_norm) * (1 + 1e-9))
+                <= planner.parameters.criteria_k_alpha * np.linalg.norm(result.least_norm)
+                * (1 + 1e-9))
 
 
 def test_the_reference_pose_is_the_command_integrated_and_the_callers_to_keep(robot):
     random = np.random.default_rng(1)
-    planner = Planner(robot, PlannerParameters(**LETTER))
+    planner = Planner(robot, PlannerParameters(**BARE), filtered=False)
     for q in random_postures(robot, 10):
         planner.reset()
         twist = robot.full_twist(robot.task_rows(0.1 * random.normal(size=6)))
@@ -59,14 +66,15 @@ def test_the_reference_pose_is_the_command_integrated_and_the_callers_to_keep(ro
 
 
 @pytest.mark.parametrize(('gains', 'column', 'tolerance'), [
-    ({'method': 'gradient_projection', 'k_fixed': 6.2e-4, 'k_f': 0.0},
+    ({'method': 'paper_gradient_projection', 'criteria_k_fixed': 6.2e-4, 'criteria_k_f': 0.0},
      [0.1950, 0.1416, -0.1154, 0.3755, -0.6731, 0.9528], 0.003),
-    ({'k_alpha': 0.80969, 'k_s': 95.38, 'k_f': 7.924e4},
+    ({'method': 'paper', 'criteria_k_alpha': 0.80969, 'criteria_k_s': 95.38,
+      'criteria_k_f': 7.924e4},
      [0.1586, 0.09307, -0.1110, 0.3871, -0.598, 0.9956], 0.002),
 ])
 def test_table_1_of_the_paper(paper_arm, gains, column, tolerance):
     scene = Scene.of([Obstacle('o', np.array([0, 0.55, 0.45]), np.array([0.05, 0.03, 0.03]))])
-    planner = Planner(paper_arm, PlannerParameters(**{**LETTER, **gains}))
+    planner = PaperPlanner(paper_arm, PlannerParameters(criteria_k_w=1.0, **gains))
     twist = np.array([-0.029, -0.05, 0.011 / 3.0, 0.0, 0.0, 0.0])
     postures, _ = drive(planner, [0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0], twist, scene, 3.0,
                         0.01)
@@ -117,7 +125,7 @@ def test_feedback_takes_drift_back_and_open_loop_keeps_it(panda):
     twist = np.array([0.05, 0.05, -0.03, 0.1, 0.0, 0.2])
     errors = {}
     for gain in (0.0, 5.0):
-        planner = Planner(panda, PlannerParameters(drift_gain=gain))
+        planner = Planner(panda, PlannerParameters(feedback_gain=gain))
         _, results = drive(planner, PANDA_READY, twist, seconds=4.0, dt=0.01)
         errors[gain] = np.linalg.norm(results[-1].path_error[:3])
     assert errors[5.0] < 0.2 * errors[0.0]
@@ -150,7 +158,7 @@ def test_the_null_space_is_handed_over_on_the_way_into_something_and_back_on_the
     q, shares, previous = PANDA_READY, [], np.zeros(7)
     for i in range(1250):
         result = planner.step(q, up if i < 500 else -up, scene, DT)
-        shares.append(planner._guided)
+        shares.append(planner.guided)
         np.testing.assert_allclose(
             panda.kinematics(q).jacobian @ result.homogeneous, 0.0, atol=1e-9)
         assert result.scale == pytest.approx(1.0) or i % 500 < 20  # takes up speed, turns
@@ -168,14 +176,14 @@ def test_where_nothing_lies_ahead_equation_2_is_all_there_is(panda, obstacles):
     scene = Scene.of([Obstacle(f'o{i}', np.array([1.0, 0.3 * i, 1.0]), np.full(3, 0.05))
                       for i in range(obstacles)])
     plain, _ = drive(
-        Planner(panda, PlannerParameters(look_ahead=0.0)), PANDA_READY, twist, scene)
+        Planner(panda, PlannerParameters(horizon_look_ahead=0.0)), PANDA_READY, twist, scene)
     ahead, results = drive(Planner(panda, PlannerParameters()), PANDA_READY, twist, scene)
     np.testing.assert_array_equal(plain, ahead)
     for result in results[1:]:
         size = np.linalg.norm(result.least_norm)
         projected = np.linalg.norm(result.homogeneous) / result.factor
         assert result.factor == pytest.approx(
-            PlannerParameters().k_alpha * size / (size + projected))
+            PlannerParameters().criteria_k_alpha * size / (size + projected))
 
 
 def test_in_a_crowd_nothing_is_planned(panda):
@@ -188,7 +196,7 @@ def test_in_a_crowd_nothing_is_planned(panda):
     for obstacles, plans in (([one], True), (crowd, False)):
         planner = Planner(panda, PlannerParameters())
         drive(planner, PANDA_READY, twist, Scene.of(obstacles), seconds=0.3)
-        assert (planner._guided > 0.0) == plans
+        assert (planner.guided > 0.0) == plans
 
 
 def test_at_a_high_rate_not_every_tick_plans(panda, monkeypatch):
@@ -212,7 +220,7 @@ def test_where_the_joint_path_ahead_leads_nowhere_the_arm_rests_at_its_end(paper
     planner = Planner(paper_arm, PlannerParameters())
     postures, _ = drive(planner, start, twist, seconds=6.0)
     assert np.abs(postures[-1] - postures[-250]).max() < 1e-3
-    assert planner._guided < 0.1
+    assert planner.guided < 0.1
 
 
 def test_position_only_control_leaves_orientation_free():
@@ -231,14 +239,15 @@ def test_joint_weights_move_the_motion_to_the_cheap_joints(paper_arm):
     start = np.array([0.1, 0.1, 0, 0.5233, -0.5233, 1.0467, 0])
     paths = []
     for weight in (1.0, 100.0):
-        planner = Planner(paper_arm, PlannerParameters(joint_weights=(weight, weight, *[1.0] * 5)))
+        planner = Planner(paper_arm, PlannerParameters(
+            criteria_joint_weights=(weight, weight, *[1.0] * 5)))
         postures, _ = drive(planner, start, twist)
         paths.append(np.abs(np.diff(postures[:, :2], axis=0)).sum())
     assert paths[1] < 0.25 * paths[0]
 
 
 def test_too_fast_a_command_is_slowed_in_its_own_direction(panda):
-    slow, fast = (Planner(panda, PlannerParameters(linear_speed_max=0.1)) for _ in range(2))
+    slow, fast = (Planner(panda, PlannerParameters(limits_linear_speed=0.1)) for _ in range(2))
     direction = np.array([0.06, 0.08, 0.0, 0.0, 0.0, 0.0])
     a, _ = drive(slow, PANDA_READY, direction)
     b, _ = drive(fast, PANDA_READY, 1e200 * direction)
@@ -311,10 +320,10 @@ def test_bad_input_is_refused_and_changes_nothing(panda, twist, dt, message):
 
 
 def test_parameters_that_do_not_fit_the_robot_are_refused(panda):
-    with pytest.raises(ParameterError, match=r"'joint_weights' has 2 entries; it takes 7"):
-        Planner(panda, PlannerParameters(joint_weights=(1.0, 2.0)))
-    with pytest.raises(ParameterError, match=r"'position_margin' is 0.5; joint 'd1' has no"):
-        Planner(make_paper_arm(), PlannerParameters(position_margin=0.5))
+    with pytest.raises(ParameterError, match=r"joint_weights' has 2 entries; it takes 7"):
+        Planner(panda, PlannerParameters(criteria_joint_weights=(1.0, 2.0)))
+    with pytest.raises(ParameterError, match=r"position_margin' is 0.5; joint 'd1' has no"):
+        Planner(make_paper_arm(), PlannerParameters(limits_position_margin=0.5))
 
 
 @pytest.mark.parametrize(('make', 'start', 'direction'), [
@@ -346,7 +355,7 @@ def test_into_a_singularity_and_out_again(make, start, direction):
 def sweep(robot, path_priority, axis, lead=0.1, speed=0.2):
     """A ball that crosses the resting arm's fifth link; distances, errors and results."""
     planner = Planner(robot, PlannerParameters(
-        path_priority=path_priority, obstacle_lead=lead))
+        path_priority=path_priority, clearance_lead=lead))
     arm = robot.kinematics(PANDA_READY)
     link = [c.name for c in robot.capsules].index('link5')
     middle = 0.5 * (arm.segment_start[link] + arm.segment_end[link])
@@ -395,7 +404,7 @@ def test_an_arm_found_inside_an_obstacle_moves_out_and_never_deeper(panda):
     assert distances[-1] > -1e-3
 
 
-@pytest.mark.parametrize('limit', ['linear_speed_max', 'angular_speed_max'])
+@pytest.mark.parametrize('limit', ['limits_linear_speed', 'limits_angular_speed'])
 def test_a_speed_limit_of_zero_stops_the_arm(panda, limit):
     planner = Planner(panda, PlannerParameters(**{limit: 0.0}))
     twist = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.3])
@@ -408,23 +417,23 @@ def test_a_speed_limit_of_zero_stops_the_arm(panda, limit):
 def test_null_space_motion_at_its_bound_stops_next_to_the_path(make):
     """Proportional braking from the bound, integrated, leads 0.25 mm aside, or 2.5 mrad."""
     robot = make()
-    constants = _Arm(*Planner(robot, PlannerParameters())._arm)
+    constants = robot_constants(robot, PlannerParameters())
     random, met = np.random.default_rng(0), 0
     for q in random_postures(robot, 40):
         arm = robot.kinematics(q)
         spare = np.linalg.svd(arm.jacobian)[2][robot.m:]
-        sway = random.normal(size=len(spare)) @ spare
-        sway *= 20.0 / np.linalg.norm(sway)
-        bound = _fastest_sway(arm, sway, constants)
-        assert bound < np.linalg.norm(sway)
-        slow = sway * (bound / np.linalg.norm(sway))
-        assert _fastest_sway(arm, 0.5 * slow, constants) == np.inf
+        self_motion = random.normal(size=len(spare)) @ spare
+        self_motion *= 20.0 / np.linalg.norm(self_motion)
+        bound = fastest_self_motion(arm, self_motion, constants)
+        assert bound < np.linalg.norm(self_motion)
+        slow = self_motion * (bound / np.linalg.norm(self_motion))
+        assert fastest_self_motion(arm, 0.5 * slow, constants) == np.inf
         stop = stopping_time(slow, robot.acceleration_max)
         rest = robot.kinematics(q + 0.5 * stop * slow)
         aside = np.linalg.norm(rest.tip_position - arm.tip_position)
         turned = np.arccos(np.clip(
             0.5 * (np.trace(rest.tip_rotation @ arm.tip_rotation.T) - 1.0), -1.0, 1.0))
         # Of second order; where that is little the third shows.
-        assert aside < 1.5 * _STRAY and (robot.m < 6 or turned < 1.5 * _STRAY_ANGLE)
-        met += aside > 0.5 * _STRAY or turned > 0.5 * _STRAY_ANGLE
+        assert aside < 1.5 * STRAY and (robot.m < 6 or turned < 1.5 * STRAY_ANGLE)
+        met += aside > 0.5 * STRAY or turned > 0.5 * STRAY_ANGLE
     assert met > 30

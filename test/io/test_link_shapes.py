@@ -99,7 +99,7 @@ def test_what_is_missing_is_named(tmp_path):
     with pytest.raises(RobotError, match=r"mesh of link 'link2': 'gone.stl' is not a file"):
         collision_pieces(gone, tmp_path)
     bare = Robot(planar_urdf(), 'tip', capsules=[], axes=('vx', 'vy'))
-    with pytest.raises(RobotError, match="set link_shapes to 'straight'"):
+    with pytest.raises(RobotError, match=r"link_radius \(in a file with 'link_shapes: straight'"):
         collision_pieces(bare, None)
 
 
@@ -284,7 +284,7 @@ def test_a_joint_that_mimics_another_stands_with_it():
         '<joint name="follow" type="prismatic"><parent link="tip"/><child link="b"/>'
         '<axis xyz="1 0 0"/><limit lower="-9" upper="9" velocity="1" effort="1"/>'
         '<mimic joint="lead" multiplier="2" offset="0.1"/></joint></robot>'))
-    robot = Robot(urdf, 'tip', locked_positions={'lead': 0.3}, axes=('vx', 'vy'))
+    robot = Robot(urdf, 'tip', locked_positions={'lead': 0.3}, axes=('vx', 'vy'), capsules=[])
     along = robot.in_link('tip', 'b', np.zeros((1, 3)))[0]
     np.testing.assert_allclose(along, [0.7, 0.0, 0.0], atol=1e-12)
     with pytest.raises(RobotError, match=r"joint 'follow' .* mimics 'lead'"):

@@ -142,7 +142,7 @@ def test_more_obstacles_than_are_kept_in_mind_are_refused(monkeypatch):
     monkeypatch.setattr(obstacle_tracker, 'MOST_OBSTACLES', 3)
     book = ObstacleTracker([], ['base'])
     assert tell(book, 0.0, *(marker(i) for i in range(5))) == [
-        '2 obstacles are too many: up to 3 are kept in mind']
+        '2 obstacles are too many: up to 3 are kept']
     assert book.scene.names == ('o/0', 'o/1', 'o/2')
     assert tell(book, 0.0, marker(0, action=Marker.DELETE)) == []
     assert tell(book, 0.0, marker(4)) == [] and book.scene.names == ('o/1', 'o/2', 'o/4')

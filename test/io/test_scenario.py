@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import yaml
@@ -9,11 +11,14 @@ import yaml
 from redundant_planner.core.errors import ParameterError, PlannerError, ScenarioError
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.io.parameter_files import (
+    known_parameters,
     parameter_values,
     read_parameter_file,
     settings_of,
     static_obstacles,
 )
+from redundant_planner.io.recorded_configuration import configuration_of
+from redundant_planner.io.renamed_parameters import RENAMED
 from redundant_planner.io.resources import resolve, share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.io.scenario import load_scenario
@@ -107,7 +112,8 @@ def of_parameters(text):
     ('[' * 5000, 'not valid YAML'), ('a: 2001-99-99', 'not valid YAML'), ('a: \x01', 'not valid'),
     (of_parameters('urdf: ""'), "gives no robot: set 'urdf'"),
     (of_parameters('urdff: a, tip_frame: b'), "'urdff' is not known; did you mean 'urdf'?"),
-    (of_parameters('look_aheed: 0.0'), "'look_aheed' is not known; did you mean 'look_ahead'?"),
+    (of_parameters('horizon.look_aheed: 0.0'),
+     "'horizon.look_aheed' is not known; did you mean 'horizon.look_ahead'?"),
     (of_parameters('capsule: [a, b]'), r"parameter 'capsule' is \['a', 'b'\]; it must hold names"),
     (of_parameters('capsule: thick'), "parameter 'capsule' is 'thick'"),
     (of_parameters('capsule: {arm: null}'), "parameter 'capsule' is {'arm': None}"),
@@ -147,14 +153,16 @@ def test_names_may_have_dots_or_be_nested_as_in_ros(tmp_path):
 
 def test_files_may_hold_the_parameters_of_every_node_of_the_package(tmp_path):
     path = written(tmp_path, of_parameters(
-        'use_sim_time: true, rate: 100, noise: 0.1, initial_joints: [a], settle: 1.0, k_w: 2.0, '
+        'use_sim_time: true, rate: 100, noise: 0.1, initial_joints: [a], settle: 1.0, '
+        'criteria.k_w: 2.0, '
         'qos_overrides./tf.publisher.depth: 5'))
-    assert read_parameter_file(path)['k_w'] == 2.0
+    assert read_parameter_file(path)['criteria.k_w'] == 2.0
 
 
 def test_recorded_parameters_of_other_versions_are_read():
-    values = parameter_values({'/**': {'ros__parameters': {'gone_since': 1, 'k_w': 2.0}}}, 'bag')
-    assert settings_of(PlannerParameters, values).k_w == 2.0
+    values = parameter_values({'/**': {'ros__parameters': {
+        'gone_since': 1, 'criteria': {'k_w': 2.0}}}}, 'bag')
+    assert settings_of(PlannerParameters, values).criteria_k_w == 2.0
 
 
 @pytest.mark.parametrize(('text', 'message'), [
@@ -179,15 +187,36 @@ def test_locations(tmp_path):
 
 
 def test_planner_files_name_only_parameters_that_exist():
-    from dataclasses import fields
-
-    from redundant_planner.io.node_parameters import PlannerNodeParameters
-    known = {f.name for f in (*fields(PlannerParameters), *fields(PlannerNodeParameters))}
     for path in (share_directory() / 'config' / 'planner').glob('*.yaml'):
         values = read_parameter_file(path)
-        assert set(values) <= known, path
-        PlannerParameters(**{k: v for k, v in values.items()
-                             if k in {f.name for f in fields(PlannerParameters)}})
+        assert set(values) <= set(known_parameters()), path
+        settings_of(PlannerParameters, values)
+
+
+def test_names_of_version_0_1_0_are_refused_with_the_new_ones(tmp_path):
+    path = tmp_path / 'old.yaml'
+    for old, message in (
+            ('horizon: 2.0', "'horizon' is called 'horizon.duration' now"),
+            ('drift_gain: 2.0', "'drift_gain' is called 'feedback.gain' now"),
+            ('damping: 0.1', "'damping' is not set any more: it is a constant now"),
+            ('safety_filter: false', "'method: paper'")):
+        path.write_text(f'/**: {{ros__parameters: {{{old}}}}}')
+        with pytest.raises(ParameterError, match=re.escape(message)):
+            read_parameter_file(path)
+    today = set(known_parameters())
+    assert set(RENAMED.values()) <= today and not set(RENAMED) & today
+
+
+def test_a_configuration_recorded_by_version_0_1_0_is_translated():
+    text = """/**:
+      ros__parameters: {method: dynamic_factor, k_w: 2.0, horizon: 2.5, damping: 0.02,
+                        safety_filter: false, clearance_points: joints, rate: 100}"""
+    notes = []
+    values = configuration_of(text, notes)
+    parameters = settings_of(PlannerParameters, values)
+    assert not notes and values['rate'] == 100
+    assert parameters == PlannerParameters(
+        method='paper', criteria_k_w=2.0, horizon_duration=2.5, singularity_damping=0.02)
 
 
 @pytest.mark.parametrize('interpolation', ['linear', 'hold'])

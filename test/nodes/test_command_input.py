@@ -87,6 +87,12 @@ def test_a_stamp_a_little_ahead_does_not_live_longer(clocks):
     assert not clocks.moving
 
 
+def test_a_clock_that_is_set_back_makes_a_command_old(clocks):
+    clocks.send()
+    clocks.loop -= 10.0
+    assert not clocks.moving and clocks.input.ahead(0.1) is None
+
+
 def test_frames_are_the_bases_or_the_tips(clocks):
     clocks.send(frame='tool0')
     assert clocks.moving and clocks.input.frame == 'tool'

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
-from conftest import PASSED
+from bench import ARM_VALUES, assert_smooth, Bench, FILE, most_commands
 from diagnostic_msgs.msg import DiagnosticStatus
 from live_helpers import LIVE, PATIENCE, station
 import numpy as np
@@ -22,11 +20,12 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
-from test_faults import assert_smooth, Bench, FILE, START
 
 from redundant_planner.nodes.messages import seconds_of, twist_to_message
 
 pytestmark = LIVE
+# The fixtures of the bench.
+pytest_plugins = ['bench']
 FAULTY = Path(__file__).parent.parent / 'faulty_planner.py'
 
 
@@ -34,44 +33,18 @@ class FaultyBench(Bench):
     """A bench with a planner that breaks on demand."""
 
     def __init__(self, ros, processes):
-        self.ros, self.processes = ros, processes
-        self.forward = np.array([0.0, -0.1, 0.0, 0.0, 0.0, 0.0])
-        self.arm = processes.start('fake_hardware_node', FILE, {
-            'initial_joints': list(START), 'initial_positions': list(START.values())})
-        self.planner = processes.start(FAULTY, FILE)
         self.fault = ros.node.create_publisher(String, 'fault', 10)
-        ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count()
-                     and self.fault.get_subscription_count(), 'start')
+        super().__init__(ros, processes, FAULTY)
+        ros.wait_for(self.fault.get_subscription_count, 'the listener for faults')
         ros.wait_for(lambda: self.value('last word') == 'ready', 'the last word')
 
     def break_at(self, place):
         self.fault.publish(String(data=place))
 
-    def value(self, key):
-        """What the latest diagnostics say of something."""
-        return {v.key: v.value for s in self.ros.statuses[-1:] for v in s.values}.get(key)
-
 
 @pytest.fixture(scope='module')
-def shared_bench():
-    """A place for the bench of all tests that leave it alive; whoever fails leaves it empty."""
-    place = SimpleNamespace(bench=None, resources=ExitStack())
-    with place.resources:
-        yield place
-
-
-@pytest.fixture
-def bench(shared_bench, request):
-    """The shared arm and planner, at rest, about to move back."""
-    if shared_bench.bench is None:
-        shared_bench.bench = FaultyBench(*shared_bench.resources.enter_context(station()))
-    lent, shared_bench.bench = shared_bench.bench, None
-    lent.turn_round()
-    yield lent
-    if request.node.stash.get(PASSED, False):
-        shared_bench.bench = lent
-    else:
-        shared_bench.resources.close()
+def make_bench():
+    return FaultyBench
 
 
 @pytest.mark.parametrize('place, said', [
@@ -96,6 +69,7 @@ def test_a_tick_that_fails_brakes_the_arm_until_a_reset(bench, place, said):
     bench.move()
     bench.break_at(place)
     bench.until_rest(bench.forward)
+    assert bench.braking_commands() <= most_commands('a request')
     assert_smooth(bench.ros.commands, f'a fault of the kind {place}')
     bench.says(said, DiagnosticStatus.ERROR)
     bench.ros.drive_until_silent(bench.forward)
@@ -128,12 +102,12 @@ def test_a_crowd_of_requests_does_not_come_between_two_commands(bench):
     ros.wait_for(lambda: times, 'times')
     # Of requests that wait, the middleware keeps ten: ten requests with thirty changes each.
     requests = [SetParameters.Request(parameters=[
-        Parameter('k_alpha', value=0.8 + 1e-4 * (30 * i + j)).to_parameter_msg()
+        Parameter('criteria.k_alpha', value=0.8 + 1e-4 * (30 * i + j)).to_parameter_msg()
         for j in range(30)]) for i in range(10)]
     answers = [client.call_async(request) for request in requests]
     ros.drive_until(bench.forward, lambda: all(a.done() for a in answers), 'answers')
     ros.drive_until(
-        bench.forward, lambda: said and 'k_alpha: 0.8299' in said[-1], 'the last change')
+        bench.forward, lambda: said and 'criteria.k_alpha: 0.8299' in said[-1], 'the last change')
     assert all(r.successful for a in answers for r in a.result().results)
     times.clear()
     bench.break_at('nothing')
@@ -143,13 +117,6 @@ def test_a_crowd_of_requests_does_not_come_between_two_commands(bench):
     assert longest < 0.02
     assert len(said) < 20, 'not said for each change'
     ros.node.destroy_subscription(subscription)
-
-
-@pytest.fixture
-def own_bench():
-    """An arm and a planner for a test that ends one of them."""
-    with station() as (ros, processes):
-        yield FaultyBench(ros, processes)
 
 
 @pytest.mark.parametrize('end, status', [
@@ -170,6 +137,7 @@ def test_whatever_ends_the_process_its_last_command_is_a_smooth_stop(own_bench, 
         name.startswith('planner_node') for name in ros.node.get_node_names()
         if name.endswith('last_word')), 'the end of the last word')
     assert ros.stops()
+    assert own_bench.braking_commands() <= most_commands('the end of the process')
     assert_smooth(ros.commands)
     rest = next(seconds_of(m.header.stamp) for m in ros.commands if not np.any(m.velocity))
     print(f'\n{end}: at rest {1e3 * (rest - begin):.0f} ms later')
@@ -208,8 +176,7 @@ def test_negative_time_stops_the_arm_and_says_so():
             clock.publish(message)
             ros.spin(0.004)
 
-        processes.start('fake_hardware_node', FILE, {
-            'initial_joints': list(START), 'initial_positions': list(START.values())})
+        processes.start('fake_hardware_node', FILE, ARM_VALUES)
         planner = processes.start('planner_node', FILE, {'use_sim_time': True})
         ros.wait_for(lambda: len(ros.commands) > 20 and all(
             np.any(m.velocity) for m in ros.commands[-20:]), 'motion', meanwhile=pass_time)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_paper_arm, ROBOTS
+from bench import ARM, ARM_VALUES, FILE, RATE, START
 from geometry_msgs.msg import Twist
 from live_helpers import LIVE, station
 import numpy as np
@@ -20,10 +20,6 @@ from redundant_planner.io.marker_reader import MOST_MARKERS
 from redundant_planner.nodes.messages import preview_to_message, seconds_of, twist_to_message
 
 pytestmark = LIVE
-ARM = make_paper_arm()
-START = {'d1': 0.1, 'd2': 0.1, 'theta4': 0.5233, 'theta5': -0.5233, 'theta6': 1.0467}
-FILE = [ROBOTS / 'paper_2p5r.yaml']
-RATE = 250.0
 # The longest time between two commands [s].
 LONGEST_PERIOD = 0.02
 
@@ -38,8 +34,7 @@ class Bench:
         node.create_subscription(Log, '/rosout', lambda m: self.said.append(m.msg), 100)
         self.previews = node.create_publisher(MultiDOFJointTrajectory, 'cmd_vel_preview', 1)
         self.parameters = node.create_client(SetParameters, '/planner_node/set_parameters')
-        processes.start('fake_hardware_node', FILE, {
-            'initial_joints': list(START), 'initial_positions': list(START.values())})
+        processes.start('fake_hardware_node', FILE, ARM_VALUES)
         static = {f'static_obstacle.{name}.{key}': values for name in ('wall', 'my.wall')
                   for key, values in (('center', [5.0, 5.0, 5.0]), ('semi_axes', [0.1] * 3))}
         self.planner = processes.start(
@@ -145,7 +140,7 @@ def test_parameters_of_the_wrong_type(bench):
                          double_array_value=[np.inf, 1e308, 0.0])
     tries = [('static_obstacle.wall.center', string), ('static_obstacle.wall.center', strings),
              ('static_obstacle.my.wall.center', numbers), ('static_obstacle.wall.center', far),
-             ('k_w', strings)]
+             ('criteria.k_w', strings)]
     futures = []
 
     def attack():

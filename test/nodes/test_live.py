@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 import signal
 
+from bench import ARM_VALUES, FILE, START
 from conftest import make_panda, make_paper_arm, PANDA_READY, PANDA_URDF, ROBOTS
 from live_helpers import LIVE, run_node, station
 import numpy as np
@@ -27,11 +28,6 @@ from redundant_planner.tools.live_run import Processes
 
 pytestmark = LIVE
 PAPER = share_directory() / 'config' / 'scenarios' / 'paper.yaml'
-PAPER_START = {'d1': 0.1, 'd2': 0.1, 'theta4': 0.5233, 'theta5': -0.5233, 'theta6': 1.0467}
-
-
-def paper_arm_values():
-    return {'initial_joints': list(PAPER_START), 'initial_positions': list(PAPER_START.values())}
 
 
 def panda_values():
@@ -120,10 +116,10 @@ def test_a_panda_follows_a_typed_twist_for_five_seconds():
 def test_nothing_is_said_before_a_state_and_bad_input_hurts_nobody():
     """NaN twists, broken joint states and impossible obstacles: the good ones go on counting."""
     robot = make_paper_arm()
-    start = [PAPER_START.get(name, 0.0) for name in robot.joint_names]
+    start = [START.get(name, 0.0) for name in robot.joint_names]
     names = list(robot.joint_names)
     with station() as (ros, processes):
-        planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
+        planner = processes.start('planner_node', FILE)
         ros.wait_for(lambda: ros.joint_states.get_subscription_count() > 1
                      and ros.twist.get_subscription_count(), 'planner')
         for bad in (JointState(name=names[:-1], position=start[:-1]),
@@ -134,8 +130,7 @@ def test_nothing_is_said_before_a_state_and_bad_input_hurts_nobody():
         ros.drive(np.zeros(6), 0.5)
         assert not ros.commands
 
-        arm = processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'],
-                              paper_arm_values())
+        arm = processes.start('fake_hardware_node', FILE, ARM_VALUES)
         ros.wait_for(lambda: ros.commands, 'a command')
         ros.wait_for(ros.at_rest, 'rest')
         assert list(ros.commands[-1].name) == names
@@ -169,8 +164,8 @@ def test_an_arm_that_restarts_elsewhere_is_not_pulled_back():
     robot = make_paper_arm()
     names = list(robot.joint_names)
     with station() as (ros, processes):
-        processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
-        here = np.array([PAPER_START.get(name, 0.0) for name in names])
+        processes.start('planner_node', FILE)
+        here = np.array([START.get(name, 0.0) for name in names])
         there = here + np.array([0.1, 0.1, 0.0, 0.2, 0.0, 0.0, 0.0])
 
         def hold_until(q, condition, what):
@@ -190,8 +185,8 @@ def test_an_arm_that_restarts_elsewhere_is_not_pulled_back():
 def test_an_interrupt_in_motion_ends_in_a_stop_and_a_clean_exit():
     # Not forked: how an interpreter of its own ends is in question.
     with station(Processes) as (ros, processes):
-        processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
-        planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
+        processes.start('fake_hardware_node', FILE, ARM_VALUES)
+        planner = processes.start('planner_node', FILE)
         ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
         ros.drive_until(np.array([0.0, -0.03, 0, 0, 0, 0]), ros.moves, 'motion')
         # Under `ros2 launch` it comes at least twice.
@@ -204,8 +199,7 @@ def test_an_interrupt_in_motion_ends_in_a_stop_and_a_clean_exit():
 
 def test_the_fake_arm_keeps_its_limits_and_refuses_strangers():
     with station() as (ros, processes):
-        arm = processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'],
-                              {**paper_arm_values(), 'noise': 0.0})
+        arm = processes.start('fake_hardware_node', FILE, {**ARM_VALUES, 'noise': 0.0})
         joint_command = ros.node.create_publisher(JointState, 'joint_command', 10)
         ros.wait_for(lambda: ros.states and joint_command.get_subscription_count() > 1)
         begin = ros.state(['d1', 'd2'])
@@ -232,15 +226,17 @@ def set_parameter(ros, name, value):
 
 def test_parameters_change_while_running_or_are_refused_with_the_reason():
     with station() as (ros, processes):
-        processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
-        planner = processes.start('planner_node', [ROBOTS / 'paper_2p5r.yaml'])
+        processes.start('fake_hardware_node', FILE, ARM_VALUES)
+        planner = processes.start('planner_node', FILE)
         ros.wait_for(lambda: ros.commands, 'start')
-        assert set_parameter(ros, 'linear_speed_max', 0.01).successful
-        assert set_parameter(ros, 'k_alpha', 1).successful
+        assert set_parameter(ros, 'limits.linear_speed', 0.01).successful
+        assert set_parameter(ros, 'criteria.k_alpha', 1).successful
         for name, value, reason in (
-                ('k_alpha', -1.0, 'out of range'), ('k_alpha', 'much', 'must be a number'),
+                ('criteria.k_alpha', -1.0, 'out of range'),
+                ('criteria.k_alpha', 'much', 'must be a number'),
                 ('method', 'magic', 'it must be one of'), ('rate', 100, 'rate'),
-                ('tip_frame', 'nose', 'tip_frame'), ('position_margin', 0.45, "joint 'd1'")):
+                ('tip_frame', 'nose', 'tip_frame'),
+                ('limits.position_margin', 0.45, "joint 'd1'")):
             result = set_parameter(ros, name, value)
             assert not result.successful and reason in result.reason, (name, result.reason)
         robot, fast = make_paper_arm(), np.array([0.0, -0.1, 0, 0, 0, 0])
@@ -258,11 +254,11 @@ def test_the_urdf_may_come_by_topic():
     with station() as (ros, processes):
         processes.start('planner_node', values={'tip_frame': 'tool_tip', 'link_shapes': 'straight',
                                                 'axes': ['vx', 'vy', 'vz']})
-        processes.start('fake_hardware_node', [ROBOTS / 'paper_2p5r.yaml'], paper_arm_values())
+        processes.start('fake_hardware_node', FILE, ARM_VALUES)
         ros.wait_for(lambda: ros.commands, 'a command after robot_description')
 
 
-FILE = ['--params-file', str(ROBOTS / 'paper_2p5r.yaml')]
+FROM_FILE = ['--params-file', str(ROBOTS / 'paper_2p5r.yaml')]
 ARM_FAULTS = [
     ([], "'urdf' is empty"),
     (['-p', 'urdf:=/no/such.urdf'], "'/no/such.urdf' is not a file"),
@@ -273,17 +269,17 @@ ARM_FAULTS = [
 ]
 PLANNER_FAULTS = [
     (['-p', f'urdf:={ROBOTS}/paper_2p5r.urdf'], "'tip_frame' is empty"),
-    ([*FILE, '-p', 'tip_frame:=nose'], "tip_frame 'nose' is not in the URDF"),
-    ([*FILE, '-p', 'urdf:=/no/such.urdf'], "'/no/such.urdf' is not a file"),
-    ([*FILE, '-p', f'urdf:={ROBOTS}/panda.yaml'], 'the URDF is not well-formed XML'),
-    ([*FILE, '-p', 'rate:=5000'], "'rate' is 5000; it must lie in [1, 1000] Hz"),
-    ([*FILE, '-p', 'rate:=fast'], "'rate' is 'fast'; it must be a whole number"),
-    ([*FILE, '-p', 'axes:=[vx, up]'], "'axes' is 'up'; it must be one of"),
-    ([*FILE, '-p', 'joint_weights:=[1.0]'], "'joint_weights' has 1 entries; it takes 7"),
-    ([*FILE, '-p', 'static_obstacles:=[o]'], "obstacle 'o' lacks 'center'"),
-    ([*FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0]'],
+    ([*FROM_FILE, '-p', 'tip_frame:=nose'], "tip_frame 'nose' is not in the URDF"),
+    ([*FROM_FILE, '-p', 'urdf:=/no/such.urdf'], "'/no/such.urdf' is not a file"),
+    ([*FROM_FILE, '-p', f'urdf:={ROBOTS}/panda.yaml'], 'the URDF is not well-formed XML'),
+    ([*FROM_FILE, '-p', 'rate:=5000'], "'rate' is 5000; it must lie in [1, 1000] Hz"),
+    ([*FROM_FILE, '-p', 'rate:=fast'], "'rate' is 'fast'; it must be a whole number"),
+    ([*FROM_FILE, '-p', 'axes:=[vx, up]'], "'axes' is 'up'; it must be one of"),
+    ([*FROM_FILE, '-p', 'joint_weights:=[1.0]'], "'joint_weights' has 1 entries; it takes 7"),
+    ([*FROM_FILE, '-p', 'static_obstacles:=[o]'], "obstacle 'o' lacks 'center'"),
+    ([*FROM_FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0]'],
      "'static_obstacle.o.center' is [0.0, 0.0]; it takes 3 finite numbers"),
-    ([*FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0, 1.0]',
+    ([*FROM_FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0, 1.0]',
       '-p', 'static_obstacle.o.semi_axes:=[0.1, 0.0, 1.0]'], 'all three must be positive'),
     (['--params-file', '/no/such.yaml'], '/no/such.yaml'),
 ]

@@ -6,7 +6,7 @@ from itertools import pairwise
 import os
 from pathlib import Path
 
-from conftest import ROBOTS
+from bench import ARM_VALUES, FILE
 from live_helpers import LIVE, station
 import numpy as np
 from passers_by import PasserBy
@@ -18,8 +18,6 @@ from redundant_planner.io.resources import share_directory
 from redundant_planner.nodes.messages import seconds_of
 from redundant_planner.nodes.runtime import keep_off_shared_memory
 
-FILE = [ROBOTS / 'paper_2p5r.yaml']
-START = {'d1': 0.1, 'd2': 0.1, 'theta4': 0.5233, 'theta5': -0.5233, 'theta6': 1.0467}
 PROFILE = str(share_directory() / 'config' / 'middleware' / 'localhost_udp.xml')
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 TRANSPORTS, LOCALHOST_ONLY = 'FASTDDS_BUILTIN_TRANSPORTS', 'ROS_LOCALHOST_ONLY'
@@ -70,8 +68,7 @@ def test_twenty_nodes_join_and_leave_or_hang_or_are_killed(machine, discovery_ra
         for name in PROFILES:
             environment.pop(name, None)
         environment[RANGE] = discovery_range
-        processes.start('fake_hardware_node', FILE, {
-            'initial_joints': list(START), 'initial_positions': list(START.values())})
+        processes.start('fake_hardware_node', FILE, ARM_VALUES)
         # The arm's own pauses are not the planner's.
         planner = processes.start('planner_node', FILE, {'joint_state_timeout': 5.0})
         ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')

@@ -13,7 +13,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from redundant_planner.core.errors import ParameterError
-from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_of
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.nodes.ros_parameters import (
     changed,
@@ -33,7 +33,8 @@ from redundant_planner.nodes.ros_parameters import (
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / 'a.yaml'
-    path.write_text('/**:\n  ros__parameters:\n    k_w: 5\n    k_s: 2.5\n    horizon: 2\n'
+    path.write_text('/**:\n  ros__parameters:\n    criteria.k_w: 5\n    criteria.k_s: 2.5\n'
+                    '    horizon.duration: 2\n'
                     '    static_obstacle:\n      wall:\n        center: [1, 0, 0]\n')
     return str(path)
 
@@ -41,16 +42,16 @@ def file(tmp_path):
 @pytest.mark.parametrize(('arguments', 'expected'), [
     ([], {}),
     (['--params-file', 'FILE'], {}),
-    (['--params-file', 'FILE', '-p', 'k_w:=7.5'], {'k_w': 7.5}),
-    (['-p', 'k_w:=7.5', '--params-file', 'FILE'], {'k_w': 7.5}),
-    (['--params-file', 'FILE', '--param', 'k_s:=9'], {'k_s': 9}),
-    (['--params-file', 'FILE', '-p', 'planner_node:k_w:=1e5'], {'k_w': 1e5}),
-    (['--params-file', 'FILE', '-p', 'other_node:k_w:=7.5'], {}),
+    (['--params-file', 'FILE', '-p', 'criteria.k_w:=7.5'], {'criteria.k_w': 7.5}),
+    (['-p', 'criteria.k_w:=7.5', '--params-file', 'FILE'], {'criteria.k_w': 7.5}),
+    (['--params-file', 'FILE', '--param', 'criteria.k_s:=9'], {'criteria.k_s': 9}),
+    (['--params-file', 'FILE', '-p', 'planner_node:criteria.k_w:=1e5'], {'criteria.k_w': 1e5}),
+    (['--params-file', 'FILE', '-p', 'other_node:criteria.k_w:=7.5'], {}),
     (['--params-file', 'FILE', '-p', 'static_obstacle.wall.center:=[0.5, 0.0, 0.0]'],
      {'static_obstacle.wall.center': [0.5, 0.0, 0.0]}),
-    (['-p', 'k_w:=1', '-p', 'k_w:=2.5'], {'k_w': 2.5}),
-    (['-p', 'k_w:=1', '-p', 'k_m:=2.5'], {}),
-    (['--params-file', 'FILE', '--', '-p', 'k_w:=7.5'], {}),
+    (['-p', 'criteria.k_w:=1', '-p', 'criteria.k_w:=2.5'], {'criteria.k_w': 2.5}),
+    (['-p', 'criteria.k_w:=1', '-p', 'criteria.k_s:=2.5'], {}),
+    (['--params-file', 'FILE', '--', '-p', 'criteria.k_w:=7.5'], {}),
 ])
 def test_the_last_value_given_holds_and_the_command_lines_before_a_files(
         file, arguments, expected):
@@ -63,16 +64,17 @@ def test_the_last_value_given_holds_and_the_command_lines_before_a_files(
     ('/**/planner_node', True), ('planner_node', False), ('/*', False), ('/arm', False)])
 def test_sections_of_files_count_for_the_nodes_they_name(file, tmp_path, section, counts):
     other = tmp_path / 'b.yaml'
-    other.write_text(f'{section}:\n  ros__parameters: {{k_w: 7.5, horizon: 3}}\n')
+    other.write_text(f'{section}:\n  ros__parameters: '
+                     '{criteria: {k_w: 7.5}, horizon.duration: 3}\n')
     line = ('planner_node', '--ros-args', '--params-file', file, '--params-file', str(other))
-    assert disputed(line, '/arm/planner_node') == ({'k_w': 7.5} if counts else {})
+    assert disputed(line, '/arm/planner_node') == ({'criteria.k_w': 7.5} if counts else {})
 
 
 def test_namespaces_of_files_may_be_nested(file, tmp_path):
     other = tmp_path / 'b.yaml'
-    other.write_text('arm:\n  planner_node:\n    ros__parameters: {k_w: 7.5}\n')
+    other.write_text('arm:\n  planner_node:\n    ros__parameters: {criteria.k_w: 7.5}\n')
     line = ('planner_node', '--ros-args', '--params-file', file, '--params-file', str(other))
-    assert disputed(line, '/arm/planner_node') == {'k_w': 7.5}
+    assert disputed(line, '/arm/planner_node') == {'criteria.k_w': 7.5}
 
 
 def test_a_decimal_on_the_command_line_wins_over_a_whole_number_in_a_file(tmp_path):
@@ -98,20 +100,22 @@ def node_with(*arguments, name='planner_node'):
 
 
 def test_parameters_that_nobody_reads_are_named():
-    given = {'look_aheed': 1.0, 'k_w': 2.0, 'scenario': 'x', 'use_sim_time': False,
+    given = {'horizon.look_aheed': 1.0, 'criteria.k_w': 2.0, 'k_s': 1.0,
+             'scenario': 'x', 'use_sim_time': False,
              'noise': 0.05, 'capsules': '[arm]', 'capsule.arm.radius': 0.1,
              'capsule.arm.radios': 0.1, 'static_obstacle.wal.center': '[0.0, 0.0, 0.0]',
              'static_obstacles': '[wall]', 'qos_overrides./tf.depth': 3, 'zzz': 1}
     arguments = [a for name, value in given.items() for a in ('-p', f'{name}:={value}')]
-    wrong = ["parameter 'capsule.arm.radios' is not known; did you mean 'capsule.arm.radius'?",
-             "parameter 'look_aheed' is not known; did you mean 'look_ahead'?",
+    wrong = ["parameter 'k_s' is called 'criteria.k_s' now",
+             "parameter 'capsule.arm.radios' is not known; did you mean 'capsule.arm.radius'?",
+             "parameter 'horizon.look_aheed' is not known; did you mean 'horizon.look_ahead'?",
              "parameter 'zzz' is not known"]
     wall = ("parameter 'static_obstacle.wal.center' is not known; did you mean "
             "'static_obstacle.wall.center'?")
     with node_with(*arguments) as node:
         declare(node, RobotParameters)
         declare(node, PlannerNodeParameters)
-        assert unknown_parameters(node) == [*wrong[:2], wall, wrong[2]]
+        assert unknown_parameters(node) == [*wrong[:3], wall, wrong[3]]
     with node_with(*arguments, name='fake_hardware_node') as node:  # shares the planner's file
         declare(node, RobotParameters)
         declare(node, FakeHardwareParameters)
@@ -130,7 +134,8 @@ def test_values_that_fit_no_entry_are_refused_by_name(value):
 
 def test_names_of_obstacles_may_have_dots():
     assert changed_entries('static_obstacle', STATIC_OBSTACLE, {
-        'static_obstacle.my.wall.center': [1, 2.5, 3], 'k_w': 1.0, 'static_obstacles': ['a'],
+        'static_obstacle.my.wall.center': [1, 2.5, 3], 'criteria.k_w': 1.0,
+        'static_obstacles': ['a'],
         }) == {('my.wall', 'center'): [1.0, 2.5, 3.0]}
     assert checked_entry('capsule.a.radius', 1, 1) == 1.0
 
@@ -147,14 +152,20 @@ def test_absurd_numbers_make_no_parameter(settings):
         if isinstance(entry.default, bool) or not numbers:
             continue
         for value in (np.nan, np.inf, -np.inf, 1e308, -1e308, 10**400):
-            if entry.name == 'influence_distance' and value >= 1e308:
+            if entry.name == 'clearance_influence_distance' and value >= 1e308:
                 continue
             given = (value,) if isinstance(entry.default, tuple) else value
-            with pytest.raises(ParameterError, match=f"'{entry.name}'"):
-                changed([settings()], {entry.name: given})
+            with pytest.raises(ParameterError, match=f"'{ros_name(entry)}'"):
+                changed([settings()], {ros_name(entry): given})
 
 
 def test_the_page_shows_every_parameter():
     page = parameter_page()
     for settings in SETTINGS:
-        assert all(f'| `{entry.name}`' in page for entry in fields(settings))
+        assert all((f'| `{ros_name(entry)}`' in page) == spec_of(entry).node
+                   for entry in fields(settings))
+
+
+def test_the_planners_parameters_fit_into_a_head():
+    count = sum(spec_of(entry).node for settings in SETTINGS[:3] for entry in fields(settings))
+    assert count <= 45

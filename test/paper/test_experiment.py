@@ -71,7 +71,7 @@ def test_equation_17_reaches_nothing(result):
 def test_the_fit_finds_the_gains_of_the_file(result):
     parameters = experiment.paper_parameters()
     for name, value in result['fit'].items():
-        assert value == pytest.approx(getattr(parameters, name), rel=0.01), name
+        assert value == pytest.approx(getattr(parameters, f'criteria_{name}'), rel=0.01), name
 
 
 def test_an_unknown_panda_is_one_readable_line(capsys):

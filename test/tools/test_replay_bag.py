@@ -85,7 +85,7 @@ def test_another_method_makes_another_bag_that_can_be_compared(tmp_path, capsys)
 def test_a_parameter_file_changes_some(tmp_path):
     path = write(tmp_path / 'run', *paper_motion(0.2))
     file = tmp_path / 'slow.yaml'
-    file.write_text('/**: {ros__parameters: {linear_speed_max: 0.01}}')
+    file.write_text('/**: {ros__parameters: {limits.linear_speed: 0.01}}')
     assert replay_bag([str(path), '--params', str(file), '--out', str(tmp_path / 'slow')]) == 0
     slow, fast = analyse(tmp_path / 'slow'), analyse(path)
     assert slow.joints.path.sum() < 0.5 * fast.joints.path.sum()
@@ -97,14 +97,14 @@ def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path, capsys):
     stateless = write(tmp_path / 'stateless', *paper_motion(0.1), (
         'joint_command', 'planner_node/configuration'))
     short = write(tmp_path / 'short', *paper_motion(DT))
-    (tmp_path / 'bad.yaml').write_text('/**: {ros__parameters: {k_alpha: much}}')
+    (tmp_path / 'bad.yaml').write_text('/**: {ros__parameters: {criteria: {k_alpha: much}}}')
     for arguments, message in (
             ([bare], 'no robot'), ([short], 'too short'),
             ([stateless], 'no messages on joint_states'),
             ([tmp_path / 'gone'], 'no such file'), ([path, '--out', path], 'exists already'),
             ([path, '--out', tmp_path / 'bad.yaml' / 'out'], 'bad.yaml'),
             ([path, '--params', tmp_path / 'no.yaml'], 'is not a file'),
-            ([path, '--params', tmp_path / 'bad.yaml'], "'k_alpha' is 'much'")):
+            ([path, '--params', tmp_path / 'bad.yaml'], "'criteria.k_alpha' is 'much'")):
         assert replay_bag([str(a) for a in arguments]) == 2
         error = capsys.readouterr().err
         assert message in error and 'Traceback' not in error, error

@@ -9,34 +9,46 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.errors import StateError
+from redundant_planner.core.errors import shown, StateError
 
 Array = npt.NDArray[np.float64]
 # Times from now (N + 1,) [s] → mean twists (N, 6) from each to the next.
 TwistAhead = Callable[[Array], Array]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Preview:
-    """What will be commanded, linear between its points and zero outside.
+    """The twists that will be commanded: linear between the points, zero outside.
 
     Attributes:
-        times: (k,) not descending [s]; two equal ones make a step.
-        twists: (k, 6) [m/s, rad/s].
+        times: (k,) ascending [s]; two equal ones make a step. Read-only.
+        twists: (k, 6) tip twists in the command frame [m/s, rad/s]. Read-only.
     """
 
     times: Array
     twists: Array
 
-    def __post_init__(self) -> None:
-        """Check the numbers.
+    def __init__(self, times: npt.ArrayLike, twists: npt.ArrayLike) -> None:
+        """Check the points.
+
+        Args:
+            times: (k,) at least one [s].
+            twists: (k, 6) [m/s, rad/s].
 
         Raises:
-            StateError: there are no points, lengths differ, a value is not finite or times go
-                backwards.
+            StateError: there are no points, lengths differ, a value is not a finite number or
+                times go backwards.
         """
-        k = len(self.times)
-        if not k or self.twists.shape != (k, 6):
+        for field, values in (('times', times), ('twists', twists)):
+            try:
+                array = np.array(values, dtype=float)
+            except (TypeError, ValueError):
+                raise StateError(f'the {field} of the preview are {shown(values)}; they must be '
+                                 'numbers') from None
+            array.setflags(write=False)
+            object.__setattr__(self, field, array)
+        k = self.times.size
+        if not k or self.times.ndim != 1 or self.twists.shape != (k, 6):
             raise StateError(f'the preview has {k} times and twists of shape '
                              f'{self.twists.shape}; it takes one or more points with six '
                              'numbers each')
@@ -65,6 +77,10 @@ class Preview:
         whenever a middle passes it.
         """
         return np.diff(self._integral(times), axis=0) / np.diff(times)[:, None]
+
+    def ahead(self, now: float) -> TwistAhead:
+        """Return the preview as seen from a time `now` [s]: what `Planner.step` takes then."""
+        return lambda times: self.between(now + times)
 
     @cached_property
     def _integrals(self) -> Array:

@@ -88,17 +88,17 @@ class Evasion:
     def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
         """Prepare for an arm, and what is to be kept from obstacles."""
         self._robot = robot
-        self._margin, self._lead = parameters.clearance_margin, parameters.obstacle_lead
+        self._margin, self._lead = parameters.clearance_margin, parameters.clearance_lead
         count = min(_TURNING_JOINTS, robot.n)
-        self._position_min = robot.position_min[:count] + parameters.position_margin
-        self._position_max = robot.position_max[:count] - parameters.position_margin
+        self._position_min = robot.position_min[:count] + parameters.limits_position_margin
+        self._position_max = robot.position_max[:count] - parameters.limits_position_margin
         moved_by = (robot.supports > 0.0).sum(axis=1)
         self._joints = TurningJoints(
             _VELOCITY_SHARE * robot.velocity_max[:count],
             _ACCELERATION_SHARE * robot.acceleration_max[:count],
             np.flatnonzero(robot.supports[:, :count].any(axis=1)),
             np.where(moved_by <= count, 1.0, _WEIGHT_OF_OTHER_LINKS),
-            np.array(robot.lever_arm_bounds), parameters.evasion_horizon)
+            np.array(robot.lever_arm_bounds), parameters.clearance_evasion_horizon)
         # Of the links only those that no other joint moves.
         self._alone = self._joints._replace(
             links=self._joints.links[moved_by[self._joints.links] <= count])
@@ -121,7 +121,7 @@ class Evasion:
         Args:
             arm: its posture.
             ellipsoids: the obstacles, larger by the clearance margin and by the way that those
-                that move make in `obstacle_lead`.
+                that move make in `clearance.lead`.
             previous: (n,) velocity of the last tick [rad/s, m/s].
             leaving: whether the arm is leaving its path already.
             dt: [s].

@@ -15,9 +15,9 @@ Array = npt.NDArray[np.float64]
 _QUATERNION_TOLERANCE = 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Obstacle:
-    """One ellipsoid in the base frame.
+    """One ellipsoid in the base frame (Eqs. 4 and 5); its arrays are read-only.
 
     Attributes:
         name: what messages call it.
@@ -30,19 +30,25 @@ class Obstacle:
     name: str
     center: Array
     semi_axes: Array
-    orientation: Array = (0.0, 0.0, 0.0, 1.0)  # type: ignore[assignment]
-    velocity: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    orientation: Array
+    velocity: Array
 
-    def __post_init__(self) -> None:
-        """Check the numbers, normalise the quaternion and make the arrays read-only.
+    def __init__(
+        self, name: str, center: npt.ArrayLike, semi_axes: npt.ArrayLike,
+        orientation: npt.ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        velocity: npt.ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Check the numbers and normalise the quaternion; the class says what they are.
 
         Raises:
             ObstacleError: a value has the wrong length, is not finite, a semi-axis is not
                 positive or the quaternion is not of unit length.
         """
-        sizes = {'center': 3, 'semi_axes': 3, 'orientation': 4, 'velocity': 3}
-        for field, size in sizes.items():
-            value = np.array(getattr(self, field), dtype=float)
+        object.__setattr__(self, 'name', name)
+        values = {'center': (center, 3), 'semi_axes': (semi_axes, 3),
+                  'orientation': (orientation, 4), 'velocity': (velocity, 3)}
+        for field, (given, size) in values.items():
+            value = np.array(given, dtype=float)
             if value.shape != (size,) or not np.isfinite(value).all():
                 raise ObstacleError(f"obstacle '{self.name}': {field} is {value.tolist()}; "
                                     f'it takes {size} finite numbers')
@@ -56,7 +62,7 @@ class Obstacle:
                 f"obstacle '{self.name}': the orientation quaternion "
                 f'{self.orientation.tolist()} has length {norm:.3g}; it must be 1')
         object.__setattr__(self, 'orientation', self.orientation / norm)
-        for field in sizes:
+        for field in values:
             getattr(self, field).setflags(write=False)
 
     @property

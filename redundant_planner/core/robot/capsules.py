@@ -30,9 +30,9 @@ _LARGEST_OVERLAP_SHARE = 0.1
 _NEVER_NEARER = 0.02
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Capsule:
-    """A link's shape: every point within `radius` of a segment.
+    """A link's shape: every point within `radius` of a segment. Its arrays are read-only.
 
     Attributes:
         name: what messages call it; usually the link's name.
@@ -48,33 +48,45 @@ class Capsule:
     end: Array
     radius: float
 
-    def __post_init__(self) -> None:
-        """Check the numbers and make the arrays read-only.
+    def __init__(
+        self, name: str, frame: str, start: npt.ArrayLike, end: npt.ArrayLike, radius: float,
+    ) -> None:
+        """Check the numbers; the class says what they are.
 
         Raises:
             ObstacleError: an end point is not three finite numbers, or the radius is negative.
         """
-        for field in ('start', 'end'):
-            point = floats_of(getattr(self, field))
+        object.__setattr__(self, 'name', name)
+        object.__setattr__(self, 'frame', frame)
+        for field, given in (('start', start), ('end', end)):
+            point = floats_of(given)
             if point.shape != (3,) or not (np.abs(point) <= LARGEST).all():
                 raise ObstacleError(
-                    f"capsule '{self.name}': {field} is {shown(getattr(self, field))}; it takes "
-                    f'three coordinates within ±{LARGEST:g} [m]')
+                    f"capsule '{name}': {field} is {shown(given)}; it takes three coordinates "
+                    f'within ±{LARGEST:g} [m]')
             point.setflags(write=False)
             object.__setattr__(self, field, point)
-        radius = floats_of(self.radius)
-        if radius.shape != () or not 0.0 <= radius <= LARGEST:
-            raise ObstacleError(f"capsule '{self.name}': radius is {shown(self.radius)}; it must "
-                                f'lie in [0, {LARGEST:g}] [m]')
-        object.__setattr__(self, 'radius', float(radius))
+        thickness = floats_of(radius)
+        if thickness.shape != () or not 0.0 <= thickness <= LARGEST:
+            raise ObstacleError(f"capsule '{name}': radius is {shown(radius)}; it must lie in "
+                                f'[0, {LARGEST:g}] [m]')
+        object.__setattr__(self, 'radius', float(thickness))
 
 
-def straight_capsules(model: pin.Model, tip_id: int, radius: float) -> list[Capsule]:
+def straight_capsules(
+    model: pin.Model, tip_id: int, radius: float | None,
+) -> list[Capsule]:
     """Return straight capsules between consecutive joint origins, the last one to the tip.
 
     Joints that share an origin have no link between them. They get a capsule only if the radius
     is positive.
+
+    Raises:
+        RobotError: there is no radius.
     """
+    if radius is None:
+        raise RobotError("the links have no shapes: give 'capsules', or 'link_radius' for "
+                         'straight ones [m], 0 for bare lines')
     names = tuple(model.names)[1:]
     ends = [model.jointPlacements[i + 1].translation for i in range(1, len(names))]
     ends.append(model.frames[tip_id].placement.translation)

@@ -73,7 +73,7 @@ class Robot:
         velocity_max: Sequence[float] | float | None = None,
         acceleration_max: Sequence[float] | float = 5.0,
         capsules: Sequence[Capsule] | None = None,
-        link_radius: float = 0.0,
+        link_radius: float | None = None,
     ) -> None:
         """Read the chain from a URDF.
 
@@ -89,13 +89,14 @@ class Robot:
             command_frame: 'base' or 'tool', see the class.
             velocity_max: replaces the URDF's velocity limits, one value or n [rad/s, m/s].
             acceleration_max: one value or n [rad/s², m/s²] (a URDF has none).
-            capsules: the link shapes; without them, straight capsules from each joint origin
-                to the next with radius `link_radius` [m].
-            link_radius: see `capsules`.
+            capsules: the link shapes; an empty list leaves every link unprotected.
+            link_radius: where `capsules` is None, the radius of straight capsules from each
+                joint origin to the next [m]; 0 for bare lines.
 
         Raises:
             RobotError: the URDF is malformed, a name is unknown, the frames do not form a
-                chain, or a limit or axis makes no sense.
+                chain, a limit or axis makes no sense, or neither `capsules` nor `link_radius`
+                is given.
             ObstacleError: a capsule is not a valid shape.
         """
         self.urdf = urdf

@@ -14,9 +14,10 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 
-PARAMETERS = PlannerParameters(evasion_horizon=2.0, clearance_margin=0.01, obstacle_lead=0.1)
-HORIZON, MARGIN = PARAMETERS.evasion_horizon, PARAMETERS.clearance_margin
-LEAD = PARAMETERS.obstacle_lead
+PARAMETERS = PlannerParameters(
+    clearance_evasion_horizon=2.0, clearance_margin=0.01, clearance_lead=0.1)
+HORIZON, MARGIN = PARAMETERS.clearance_evasion_horizon, PARAMETERS.clearance_margin
+LEAD = PARAMETERS.clearance_lead
 
 
 def passing(robot, random, count=2, speed=0.3):

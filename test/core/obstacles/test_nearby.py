@@ -103,7 +103,7 @@ def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch)
     twists = 0.2 * random.normal(size=(6, 6))
 
     def run():
-        planner, q, decided = Planner(robot, PlannerParameters(look_ahead=0.0)), start, []
+        planner, q, decided = Planner(robot, PlannerParameters(horizon_look_ahead=0.0)), start, []
         for i in range(360):
             result = planner.step(q, twists[i // 60], scene, 0.004)
             q = q + 0.004 * result.dq
@@ -111,7 +111,7 @@ def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch)
         return decided
 
     quick = run()
-    monkeypatch.setattr('redundant_planner.core.planner.FEW', 10**9)
+    monkeypatch.setattr('redundant_planner.core.obstacles.watch.FEW', 10**9)
     for (dq, scale, stage), (all_dq, all_scale, all_stage) in zip(quick, run()):
         np.testing.assert_allclose(dq, all_dq, atol=1e-7)
         assert scale == pytest.approx(all_scale, abs=1e-6) and stage == all_stage

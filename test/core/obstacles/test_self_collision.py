@@ -74,7 +74,7 @@ def test_a_planar_arm_does_not_fold_onto_itself():
     twist = np.array([0.1, -0.3, 0, 0, 0, 0])
     margins = {}
     for margin in (0.01, -1.0):
-        planner = Planner(robot, PlannerParameters(self_collision_margin=margin))
+        planner = Planner(robot, PlannerParameters(clearance_self_margin=margin))
         postures, _ = drive(planner, start, twist, NOTHING, 2.0)
         margins[margin] = smallest(postures)
     assert margins[0.01] > 0.0095

@@ -55,7 +55,7 @@ def test_floating_and_planar_joints_stand_still_outside_the_chain(kind):
     inside, outside = {'tip_frame': 'tip'}, {'tip_frame': 'tip', 'base_frame': 'link1'}
     with pytest.raises(RobotError, match=f"joint 'joint1' between .* is {kind}; a chain takes"):
         Robot(with_joint1(kind), axes=('vx', 'vy'), **inside)
-    robot = Robot(with_joint1(kind), axes=('vx', 'vy'), **outside)
+    robot = Robot(with_joint1(kind), axes=('vx', 'vy'), capsules=[], **outside)
     expected = make_planar(base_frame='link1')
     for q in random_postures(robot, 3):
         np.testing.assert_array_equal(robot.kinematics(q).tip_position,
@@ -71,7 +71,7 @@ def test_limits_that_a_chain_cannot_have_are_harmless_outside_it(limits, message
     text = planar_urdf().replace('lower="-2.5" upper="2.5"', limits, 1)
     with pytest.raises(RobotError, match=message):
         Robot(text, 'tip', axes=('vx', 'vy'))
-    assert Robot(text, 'tip', base_frame='link1', axes=('vx', 'vy')).n == 2
+    assert Robot(text, 'tip', base_frame='link1', axes=('vx', 'vy'), capsules=[]).n == 2
 
 
 def test_a_chain_of_one_joint_plans():

@@ -106,7 +106,7 @@ def test_a_chain_of_a_thousand_links_is_read_at_once():
         f'<child link="link{i}"/></joint>' for i in range(4, 900))
     text = planar_urdf().replace('</robot>', f'{joints}</robot>')
     assert likely_tip(text) == 'link899'
-    assert Robot(text, 'link899', axes=('vx', 'vy')).n == 3
+    assert Robot(text, 'link899', axes=('vx', 'vy'), capsules=[]).n == 3
     with pytest.raises(RobotError, match='has 1505 links; it may have 1000'):
         read_urdf(text.replace('</robot>', ''.join(
             f'<link name="more{i}"/>' for i in range(604)) + '</robot>'))

@@ -1,0 +1,82 @@
+"""Which obstacles a tick looks at: the memory around `nearby.surroundings`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.constants import Gains, RobotConstants
+from redundant_planner.core.obstacles.nearby import everything, FEW, Surroundings, surroundings
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.safety.pace import reach
+
+Array = npt.NDArray[np.float64]
+
+
+class ObstacleWatch:
+    """The obstacles that can matter, chosen anew when the arm or the scene has moved.
+
+    Attributes:
+        fastest: speed of the scene's fastest obstacle [m/s].
+    """
+
+    def __init__(
+        self, robot: Robot, parameters: PlannerParameters, constants: RobotConstants,
+        gains: Gains,
+    ) -> None:
+        """Prepare for an arm; the last two arguments are made of the parameters."""
+        self._robot, self._constants, self._gains = robot, constants, gains
+        self._lead, self._course = parameters.clearance_lead, parameters.clearance_evasion_horizon
+        self._radii = np.array([c.radius for c in robot.capsules]) + parameters.clearance_margin
+        self._scene: Scene | None = None
+        self.fastest = 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was chosen, and for which posture."""
+        self._around: Surroundings | None = None
+        # Of the last tick: where the arm was, and the tick's length.
+        self._last: tuple[Kinematics, float] | None = None
+
+    def prepare(self, scene: Scene, previous: Array) -> None:
+        """Choose from a new scene, for the posture of the last tick and its velocity (n,)."""
+        if scene is self._scene:
+            return
+        squares = np.square(scene.velocities).sum(axis=1)
+        self._scene, self.fastest = scene, math.sqrt(squares.max(initial=0.0))
+        if self._last is not None:
+            arm, dt = self._last
+            self._surroundings(scene, arm, previous, dt)
+
+    def look(self, scene: Scene, arm: Kinematics, previous: Array, dt: float) -> Surroundings:
+        """Return the obstacles that can matter, for links with the clearance margin.
+
+        Args:
+            scene: all obstacles.
+            arm: at the measured posture.
+            previous: (n,) velocity of the last tick.
+            dt: [s].
+        """
+        self.prepare(scene, previous)
+        self._last = arm, dt
+        return self._surroundings(scene, arm, previous, dt)
+
+    def _surroundings(
+        self, scene: Scene, arm: Kinematics, previous: Array, dt: float,
+    ) -> Surroundings:
+        around = self._around
+        if around is not None and around.scene is scene and around.complete:
+            return around
+        if len(scene.names) < FEW:
+            self._around = everything(scene, self._radii, self._lead, arm.q)
+            return self._around
+        near = reach(previous, self.fastest, self._constants, self._gains, dt)
+        if around is None or not around.hold(scene, arm.q, self._robot.lever_arm_bounds, near):
+            self._around = around = surroundings(
+                scene, self._radii, self._lead, arm, near, self._course)
+        return around

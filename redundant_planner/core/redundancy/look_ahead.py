@@ -1,0 +1,138 @@
+"""When the null space follows the joint path ahead, and the upkeep of that path.
+
+`variational` always follows it. `dynamic_factor` switches to it while Eq. 2's own motion would
+run into something.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.constants import Gains, RobotConstants
+from redundant_planner.core.horizon.horizon import Horizon
+from redundant_planner.core.horizon.least_norm_path import PathJoints
+from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
+from redundant_planner.core.horizon.preview import continued, TwistAhead
+from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.redundancy.reference import Start, task_of
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.safety.limits import Limits
+
+Array = npt.NDArray[np.float64]
+
+# Time over which the trend of a held command is averaged [s].
+_TREND = 0.1
+# The joint path ahead is improved at most this often [s]: it takes a sixth of a millisecond.
+_PLANNING_PERIOD = 0.003
+# No joint path is planned among more obstacles than this.
+MOST_OBSTACLES = 50
+# A tick in which evasion has looked at so many distances has no time to improve the path.
+_BUSY = 7500
+# A command smaller than this is none, as to how it grows [squared m/s, rad/s].
+_NO_SPEED = 1e-24
+# How long dynamic_factor takes to switch to the joint path ahead, and back [s]; and the share of
+# it that remains while the path might come of use again.
+_SWITCH_TIME, _RETURN_TIME, _STANDBY = 0.1, 1.0, 1e-3
+
+
+class LookAhead:
+    """The joint path ahead of one arm, and how much of the null-space motion follows it.
+
+    Attributes:
+        guided: share of the null-space motion that follows it; 1 for `variational`.
+    """
+
+    def __init__(
+        self, robot: Robot, parameters: PlannerParameters, limits: Limits,
+        constants: RobotConstants, gains: Gains,
+    ) -> None:
+        """Prepare for an arm; the other arguments are made of the parameters."""
+        self._robot, self._constants, self._gains = robot, constants, gains
+        self._always = parameters.method == 'variational'
+        self._horizons = tuple(
+            Horizon(robot, node_times(duration, parameters.horizon_nodes), PathJoints(
+                constants.scaling, limits.positions[1], limits.positions[0]))
+            for duration in (parameters.horizon_duration, parameters.horizon_held_duration))
+        self._controlled = robot.full_twist(np.ones(robot.m))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the path, and what it was planned for."""
+        self.guided = 1.0 if self._always else 0.0
+        self._horizon: Horizon | None = None
+        self._velocity: Array | None = None
+        self._age = 0.0  # of the path [s]
+        self._command: Array = np.zeros(6)
+        self._growth = 0.0
+
+    @property
+    def cut_short(self) -> bool:
+        """Whether the path's last problem took more iterations than it may."""
+        return self._horizon is not None and self._horizon.cut_short
+
+    def velocity(
+        self, start: Start, ellipsoids: InflatedEllipsoids, ahead: TwistAhead | None,
+        evasion_work: int,
+    ) -> Array | None:
+        """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
+
+        Args:
+            start: of the tick.
+            ellipsoids: the nearest obstacles.
+            ahead: see `Planner.step`.
+            evasion_work: how many distances evasion has looked at in this tick.
+        """
+        if self.guided == 0.0:
+            return None
+        if self._robot.n <= self._robot.m:
+            return np.zeros(self._robot.n)
+        self._age += start.dt
+        if self._velocity is not None and (
+                self._age < _PLANNING_PERIOD or evasion_work > _BUSY):
+            return self._velocity
+        elapsed, self._age = self._age, 0.0
+        growth = self._growth_of(start.command, elapsed)
+        horizon = self._horizons[ahead is None]
+        if horizon is not self._horizon:
+            self._horizon = horizon
+            horizon.reset()
+
+        times = horizon.times
+        if ahead is None:
+            twists = continued(start.command, growth, middles(times))
+        else:
+            twists = self._controlled * ahead(times)
+        reference = task_of(start, self._constants, self._gains).reference
+        poses = poses_ahead(reference, twists, times, self._robot.in_tool)
+        self._velocity = horizon.advance(start.arm.q, poses, ellipsoids, elapsed)
+        return self._velocity
+
+    def switch(self, blocked: bool, dt: float) -> None:
+        """Follow the path gradually while the arm's own motion is blocked, and back afterwards.
+
+        A path that leads nowhere either is kept up, but not followed.
+        """
+        if self._always:
+            return
+        if blocked and (self._horizon is None or self._horizon.free):
+            self.guided = min(self.guided + dt / _SWITCH_TIME, 1.0)
+        elif self.guided > 0.0:
+            least = _STANDBY if blocked else 0.0
+            self.guided = max(self.guided - dt / _RETURN_TIME, least)
+            if self.guided == 0.0:
+                self.reset()
+
+    def _growth_of(self, command: Array, dt: float) -> float:
+        """Return the rate at which the command has been growing or fading lately [1/s]."""
+        size = float(command @ command)
+        if size < _NO_SPEED or not self._command.any():
+            self._growth = 0.0
+        else:
+            rate = float((command - self._command) @ command) / (size * dt)
+            self._growth += (1.0 - math.exp(-dt / _TREND)) * (rate - self._growth)
+        self._command = command
+        return self._growth

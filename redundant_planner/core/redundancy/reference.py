@@ -1,0 +1,107 @@
+"""The reference pose, and the feedback that leads the tip back to it (docs/derivations.md).
+
+The reference is where the tip would be had every followed twist been integrated exactly.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.constants import Gains, RobotConstants
+from redundant_planner.core.kernels import compiled, entry, Indices, Vector
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.jacobian import jdot_qdot
+from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.se3 import Pose
+
+Array = npt.NDArray[np.float64]
+
+# Deadband of the pose feedback without a command [m, rad].
+_AT_REST = 1e-5
+
+
+class Task(NamedTuple):
+    """What the tip shall do in a tick, in the controlled axes of the command frame.
+
+    Attributes:
+        commanded: (m,) the commanded twist.
+        feedback: (m,) the twist that leads back to the reference pose.
+        turning: (m,) the part that J's own turning within the tick makes, ½ dt J̇ q̇.
+        error: (6,) reference pose minus the tip's.
+        reference: the reference pose; one that is out of reach is brought along.
+    """
+
+    commanded: Vector
+    feedback: Vector
+    turning: Vector
+    error: Vector
+    reference: Pose
+
+
+class Start(NamedTuple):
+    """Where a tick starts.
+
+    Attributes:
+        arm: at the measured posture.
+        reference: pose before the tick.
+        command: (6,) the twist [m/s, rad/s].
+        previous: (n,) velocity of the last tick [rad/s, m/s].
+        dt: [s].
+    """
+
+    arm: Kinematics
+    reference: Pose
+    command: Vector
+    previous: Vector
+    dt: float
+
+
+@compiled
+def task_of(start: Start, constants: RobotConstants, gains: Gains) -> Task:
+    """Return what the tip shall do in this tick: ẋ.
+
+    A reference that is out of reach, or has drifted on axes that are not controlled, is brought
+    along.
+    """
+    arm, reference, rows = start.arm, start.reference, constants.rows
+    pose = Pose(arm.tip_position, arm.tip_rotation)
+    apart = se3.pose_error(reference, pose, constants.in_tool)
+    error = np.zeros(6)
+    for row in rows:
+        error[row] = apart[row]
+    kept = se3.bounded(error, gains.feedback_distance, gains.feedback_angle)
+    if len(rows) < 6 or (kept != error).any():
+        reference = se3.displaced(pose, kept, constants.in_tool)
+    correction = se3.feedback(
+        kept, gains.feedback_gain, gains.feedback_speed, gains.feedback_angular_speed)
+    if np.abs(start.command).max() == 0.0 and np.abs(kept).max() < _AT_REST:
+        correction[:] = 0.0
+    commanded, feedback, turning = np.zeros((3, len(rows)))
+    for i in range(len(rows)):
+        commanded[i], feedback[i] = start.command[rows[i]], correction[rows[i]]
+    if gains.feedback_gain > 0.0:
+        # J turns while the arm moves: half of that belongs to the tick ahead.
+        turning[:] = 0.5 * start.dt * jdot_qdot(
+            arm.tip_jacobian, start.previous, arm.tip_rotation, constants.in_tool, rows)
+    return Task(commanded, feedback, turning, kept, reference)
+
+
+@entry
+def followed_pose(
+    reference: Pose, followed: Vector, rows: Indices, in_tool: bool, dt: float,
+) -> Pose:
+    """Return a reference pose after the part (m,) of the path that was followed.
+
+    Args:
+        reference: before the tick.
+        followed: mean twist of the controlled axes [m/s, rad/s].
+        rows, in_tool: see `RobotConstants`.
+        dt: [s].
+    """
+    twist = np.zeros(6)
+    for i in range(len(rows)):
+        twist[rows[i]] = followed[i]
+    return se3.integrate(reference, twist, dt, in_tool)

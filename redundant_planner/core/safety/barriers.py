@@ -1,0 +1,267 @@
+"""Barriers: what must not be used up in a tick, one function per kind of row.
+
+A row keeps h ≥ 0 by ∇h·q̇ + ∂h/∂t ≥ −rate · h. h is a clearance, a distance between two links, a
+singular value beyond its margin, or 0 where a row just bounds a velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.constants import RobotConstants
+from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Vector
+from redundant_planner.core.obstacles.evasion import Turn
+from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.near_pairs import NearPairs
+from redundant_planner.core.obstacles.self_collision import NearLinks
+from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.redundancy.null_space import Decomposition
+from redundant_planner.core.robot.jacobian import derivative_between, jdot_qdot
+from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.safety.limits import (
+    barrier_rate,
+    Limits,
+    stopping_time,
+    velocity_bounds,
+)
+
+Array = npt.NDArray[np.float64]
+
+# Kinds of rows, in the order in which they stand. The last two are not urgent: they give way
+# before anything else does.
+OBSTACLE, TURN, LINK, SINGULARITY, SELF_MOTION = range(5)
+
+# An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
+_FOUND_INSIDE = 1e-3
+# The singularity barrier is looked at below this multiple of its margin.
+_SINGULARITY_NEAR = 5.0
+# How exactly a turn is made, as a share of a joint's speed limit.
+_TURN_TOLERANCE = 0.005
+# How far the tip may leave its path while null-space motion is being braked [m], [rad].
+STRAY, STRAY_ANGLE = 2.5e-4, 2.5e-3
+
+
+class Barriers(NamedTuple):
+    """All rows of a tick, by kind.
+
+    Attributes:
+        gradient: (b, n) ∂h/∂q.
+        time_derivative: (b,) ∂h/∂t from the obstacles' own motion [unit of h/s].
+        value: (b,) h against the margin; negative inside it, where the arm has to get out.
+        spare: (b,) how much of h is given up before the rest of any other is.
+        kind: (b,) OBSTACLE, TURN, LINK, SINGULARITY or SELF_MOTION.
+        first, second: (b,) a link and an obstacle, or two links; −1 for other rows.
+    """
+
+    gradient: Matrix
+    time_derivative: Vector
+    value: Vector
+    spare: Vector
+    kind: Indices
+    first: Indices
+    second: Indices
+
+
+def barriers_of(
+    gradient: Array, time_derivative: Array, value: Array, spare: Array | None = None,
+) -> Barriers:
+    """Return barriers of obstacles from (b, n) gradients, and (b,) each of the other fields."""
+    unknown = np.full(len(value), -1)
+    return Barriers(gradient, time_derivative, value,
+                    np.zeros(len(value)) if spare is None else spare,
+                    np.full(len(value), OBSTACLE), unknown, unknown.copy())
+
+
+def urgent_rows(barriers: Barriers) -> int:
+    """Return how many of the first rows are urgent."""
+    return int((barriers.kind < SINGULARITY).sum())
+
+
+def barrier_bounds(barriers: Barriers, gain: float, stop: float, dt: float) -> Array:
+    """Return b (b,) of ∇h·q̇ ≥ b: −rate h − ∂h/∂t.
+
+    Inside the margin (h < 0) the same line asks the pair to move apart.
+
+    Args:
+        barriers: of what is near.
+        gain: largest share of h that may be used up per second [1/s].
+        stop: stopping time T that the next velocity may have [s].
+        dt: [s].
+    """
+    return _bounds(barriers.value, barriers.time_derivative, barrier_rate(gain, stop, dt))
+
+
+@compiled
+def _bounds(value: Vector, time_derivative: Vector, rate: float) -> Array:
+    return -rate * value - time_derivative
+
+
+@kernel
+def admissible(
+    dq: Vector, q: Vector, previous: Vector, limits: Limits, barriers: Barriers, gain: float,
+    dt: float,
+) -> bool:
+    """Return whether a velocity (n,) keeps every limit and every barrier as it is.
+
+    Args:
+        dq: the velocity.
+        q, previous: (n,) positions, and the velocity of the last tick.
+        limits, barriers, gain, dt: as for `stages.safe_velocity`.
+    """
+    stop = stopping_time(previous, limits.acceleration_max) + dt
+    lower, upper, kept = velocity_bounds(q, previous, limits, stop, dt)
+    bounds = _bounds(barriers.value, barriers.time_derivative, barrier_rate(gain, stop, dt))
+    if not kept:
+        return False
+    for i in range(len(dq)):
+        if not lower[i] <= dq[i] <= upper[i]:
+            return False
+    for row in range(len(bounds)):
+        along = 0.0
+        for i in range(len(dq)):
+            along += barriers.gradient[row, i] * dq[i]
+        if not along >= bounds[row]:
+            return False
+    return True
+
+
+@kernel
+def room_for(rows: int, n: int) -> Barriers:
+    """Return so many rows to be filled."""
+    terms, about = np.zeros((3, rows)), np.full((3, rows), -1)
+    return Barriers(np.zeros((rows, n)), terms[0], terms[1], terms[2], about[0], about[1],
+                    about[2])
+
+
+@kernel
+def first_rows(barriers: Barriers, count: int) -> Barriers:
+    """Return the first rows."""
+    return Barriers(
+        barriers.gradient[:count], barriers.time_derivative[:count], barriers.value[:count],
+        barriers.spare[:count], barriers.kind[:count], barriers.first[:count],
+        barriers.second[:count])
+
+
+@kernel
+def obstacle_rows(
+    rows: Barriers, at: int, near: NearPairs, maps: InflatedEllipsoids, lead: float,
+) -> int:
+    """Write a row for every link and obstacle whose barrier could act; return the next row.
+
+    Closer than the margin the arm may stay where it is; it only may not get closer.
+
+    Args:
+        rows, at: where to, from which row on.
+        near, maps: the pairs, and the obstacles.
+        lead: time over which the way of moving obstacles is kept as spare distance [s].
+    """
+    for pair in near.acting:
+        link, obstacle = near.links[pair], near.obstacles[pair]
+        rows.gradient[at] = near.gradient[pair]
+        rows.time_derivative[at], rows.value[at] = near.rate[pair], near.normalized_distance[pair]
+        rows.spare[at] = lead * maps.speeds[obstacle] / maps.smallest[link, obstacle]
+        rows.kind[at], rows.first[at], rows.second[at] = OBSTACLE, link, obstacle
+        at += 1
+    return at
+
+
+@kernel
+def turn_rows(rows: Barriers, at: int, turn: Turn, velocity_max: Vector) -> int:
+    """Write two rows that hold each turning joint to its velocity; return the next row."""
+    for j in range(len(turn.velocities)):
+        for way in (1.0, -1.0):
+            rows.gradient[at, j] = way
+            rows.time_derivative[at] = (
+                _TURN_TOLERANCE * velocity_max[j] - way * turn.velocities[j])
+            rows.kind[at], rows.first[at], rows.second[at] = TURN, turn.link, turn.obstacle
+            at += 1
+    return at
+
+
+@kernel
+def link_rows(rows: Barriers, at: int, own: NearLinks, constants: RobotConstants) -> int:
+    """Write a row for every two links that could meet; return the next row."""
+    for i in range(len(own.pairs)):
+        rows.gradient[at], rows.value[at] = own.gradient[i], own.distance[i]
+        rows.kind[at] = LINK
+        rows.first[at], rows.second[at] = constants.self_pairs[own.pairs[i]]
+        at += 1
+    return at
+
+
+@kernel
+def singularity_row(
+    rows: Barriers, at: int, arm: Kinematics, parts: Decomposition, constants: RobotConstants,
+    margin: float,
+) -> int:
+    """Write a row that keeps the smallest singular value, where it is small; return the next row.
+
+    With the singular value's directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v.
+    """
+    smallest = parts.singular_values[-1]
+    if smallest > _SINGULARITY_NEAR * margin:
+        return at
+    rows.gradient[at] = derivative_between(
+        parts.left[:, -1], arm.tip_jacobian, constants.scaling * parts.right[-1],
+        arm.tip_rotation, constants.in_tool, constants.rows)
+    rows.value[at] = max(smallest - margin, 0.0)
+    rows.kind[at] = SINGULARITY
+    return at + 1
+
+
+@compiled
+def fastest_self_motion(arm: Kinematics, self_motion: Vector, constants: RobotConstants) -> float:
+    """Return how fast null-space motion h may be to stop next to the path [rad/s, m/s].
+
+    All joints slowing in proportion within T, the tip is accelerated by J̇ h while h lasts, and
+    has been moved aside by |J̇ h| T²/8 at the end (docs/safety.md). That grows with the fourth
+    power of the speed. Infinite where h is far from that.
+    """
+    rate = jdot_qdot(
+        arm.tip_jacobian, self_motion, arm.tip_rotation, constants.in_tool, constants.rows)
+    squared, squared_angle = 0.0, 0.0
+    for i in range(len(rate)):
+        if constants.rows[i] < 3:
+            squared += rate[i] * rate[i]
+        else:
+            squared_angle += rate[i] * rate[i]
+    stop = stopping_time(self_motion, constants.acceleration_max)
+    aside = stop * stop / 8.0 * max(
+        math.sqrt(squared) / STRAY, math.sqrt(squared_angle) / STRAY_ANGLE)
+    # A tick adds less than a tenth to a speed at which this matters.
+    if aside < 0.6:
+        return np.inf
+    return math.sqrt(np.sum(self_motion * self_motion)) / aside ** 0.25
+
+
+@kernel
+def self_motion_row(
+    rows: Barriers, at: int, arm: Kinematics, parts: Decomposition, previous: Vector,
+    constants: RobotConstants, dt: float,
+) -> int:
+    """Write a row that keeps null-space motion slow enough to stop; return the next row."""
+    scaling = constants.scaling
+    self_motion = scaling * null_space.project(parts, previous / scaling)
+    fastest = fastest_self_motion(arm, self_motion, constants)
+    if fastest == np.inf:
+        return at
+    # h·q̇ / |h| may be that much at most, whatever the rate of the other barriers.
+    speed = math.sqrt(np.sum(self_motion * self_motion))
+    slower = 1.0 - dt / max(stopping_time(previous, constants.acceleration_max), dt)
+    rows.gradient[at] = -self_motion / speed
+    rows.time_derivative[at] = max(fastest, slower * np.sum(self_motion * previous) / speed)
+    rows.kind[at] = SELF_MOTION
+    return at + 1
+
+
+@kernel
+def is_intruded(near: NearPairs, turn: Turn) -> bool:
+    """Return whether an obstacle moves towards the arm, or the arm was found too close to it."""
+    intruded = len(turn.velocities) > 0
+    for pair in near.acting:
+        intruded = intruded or near.distance[pair] < -_FOUND_INSIDE or near.rate[pair] < 0.0
+    return intruded

@@ -1,0 +1,122 @@
+"""What a joint may do in a tick so that the arm can always stop (docs/safety.md)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.kernels import compiled, Matrix, Vector
+
+Array = npt.NDArray[np.float64]
+
+# Differences below this are round-off [rad/s, m/s].
+TOLERANCE = 1e-9
+# Reserve on the stopping distance for gradients that turn while the arm brakes.
+_CURVATURE_RESERVE = 1.25
+
+
+class Limits(NamedTuple):
+    """What a joint may do [rad, m; per s; per s²].
+
+    Attributes:
+        positions: (2, n) highest, then lowest, a margin taken off.
+        velocity_max, acceleration_max: (n,).
+        margin: [rad, m], half of which may be used up rather than an acceleration limit
+            exceeded.
+    """
+
+    positions: Matrix
+    velocity_max: Vector
+    acceleration_max: Vector
+    margin: float
+
+
+@compiled
+def stopping_time(dq: Vector, acceleration_max: Vector) -> float:
+    """Return the time in which all joints, slowing in proportion, come to rest [s]."""
+    time = 0.0
+    for i in range(len(dq)):
+        time = max(time, abs(dq[i]) / acceleration_max[i])
+    return time
+
+
+@compiled
+def braked(dq: Vector, acceleration_max: Vector, dt: float) -> Array:
+    """Return the velocity (n,) a tick later when all joints slow down in proportion.
+
+    Every stage of the filter keeps this way to rest open (docs/safety.md).
+    """
+    stop = stopping_time(dq, acceleration_max)
+    return dq * ((1.0 - dt / stop) if stop > dt else 0.0)
+
+
+@compiled
+def barrier_rate(gain: float, stop: float, dt: float) -> float:
+    """Return the share of a clearance that may be used up per second [1/s].
+
+    `gain`, or less if proportional braking within the stopping time T cannot hold that.
+    """
+    return min(gain, 1.0 / (_CURVATURE_RESERVE * stop / 2.0 + dt))
+
+
+@compiled
+def velocity_bounds(
+    q: Vector, previous: Vector, limits: Limits, stop: float, dt: float,
+) -> tuple[Array, Array, bool]:
+    """Return (lower, upper) joint velocities, (n,) each, from which the arm can always stop.
+
+    Upper bound of a joint with distance d to its limit, at acceleration a:
+    - the velocity limit, and previous + a dt;
+    - d / (T/2 + dt), the largest speed at which braking the whole arm in proportion stops it
+      in time. As T ≥ |q̇_j| / a_j for every joint, the joint alone can brake in time as well.
+    The lower bound mirrors it. A joint outside its range may not move further out. Where the
+    acceleration limit contradicts the others, they win. But measurements are always a little
+    old: an arm found further on than it could be may brake in proportion, as long as that ends
+    within the first half of the margin.
+
+    Args:
+        q: (n,) positions.
+        previous: (n,) velocity of the last tick.
+        limits: of the joints.
+        stop: stopping time T that the next velocity may have [s].
+        dt: [s].
+
+    Returns:
+        lower, upper, and whether they keep the acceleration limits.
+    """
+    n = len(q)
+    slowed = braked(previous, limits.acceleration_max, dt)
+    highest, bounds, kept = np.empty(2), np.empty((2, n)), True
+    for i in range(n):
+        # Side 0 is the way up, side 1 the way down, both counted positive outwards.
+        for side in range(2):
+            outward = 1.0 - 2.0 * side
+            room = (limits.positions[side, i] - q[i]) * outward
+            speed = max(room, 0.0) / (stop / 2.0 + dt)
+            if limits.margin > 0.0:
+                last = max(room + 0.5 * limits.margin, 0.0) / (stop / 2.0 + dt)
+                speed = max(speed, min(slowed[i] * outward, last))
+            highest[side] = min(limits.velocity_max[i], speed)
+        for side in range(2):
+            reached = previous[i] * (1.0 - 2.0 * side) + limits.acceleration_max[i] * dt
+            lowest = -highest[1 - side]
+            bounds[side, i] = min(max(reached, lowest), highest[side])
+            kept = kept and reached >= lowest - TOLERANCE
+    return -bounds[1], bounds[0], kept
+
+
+@compiled
+def slowed_limits(
+    previous: Vector, velocity_max: Vector, acceleration_max: Vector, share: float, dt: float,
+) -> Array:
+    """Return velocity limits (n,) of a share of the fastest motion that a tick can reach.
+
+    They are never below the speed that proportional braking leaves.
+    """
+    limits, still = np.empty(len(previous)), braked(previous, acceleration_max, dt)
+    for j in range(len(limits)):
+        fastest = min(abs(previous[j]) + acceleration_max[j] * dt, velocity_max[j])
+        limits[j] = max(share * fastest, abs(still[j]))
+    return limits

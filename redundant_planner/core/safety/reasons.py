@@ -1,0 +1,60 @@
+"""One sentence about what slows or stops the arm."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.obstacles.nearby import Surroundings
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.safety.barriers import (
+    Barriers,
+    LINK,
+    OBSTACLE,
+    SELF_MOTION,
+    SINGULARITY,
+)
+from redundant_planner.core.safety.stages import Filtered, Stage
+
+Array = npt.NDArray[np.float64]
+
+# The drives' own way to speed up and to stop.
+_HARMLESS = (Stage.DESIRED, Stage.SCALED, Stage.BRAKING)
+
+
+def reason_for(
+    result: Filtered, barriers: Barriers, around: Surroundings, robot: Robot,
+    largest_change: Array, *, commanded: bool,
+) -> str:
+    """Say what holds the arm back; empty where nothing but its drives does.
+
+    Args:
+        result: what the filter decided.
+        barriers, around: of the tick, and the obstacles that they are about.
+        robot: the arm.
+        largest_change: (n,) share of the acceleration limit that each joint used, 1 at most.
+        commanded: whether any motion is.
+    """
+    if (result.scale > 0.99 or not commanded) and result.stage in _HARMLESS:
+        return ''
+    at_limit = [i for i in result.joints.tolist() if largest_change[i] < 1.0 - 1e-6]
+    if len(result.joints) and not at_limit and not len(result.pairs):  # speeding up
+        return ''
+    names = [f"joint '{robot.joint_names[i]}' at its limit" for i in at_limit]
+    names += [_row_name(row, barriers, around, robot) for row in result.pairs.tolist()]
+    return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
+
+
+def _row_name(row: int, barriers: Barriers, around: Surroundings, robot: Robot) -> str:
+    """Name a barrier as a sentence's part."""
+    kind = int(barriers.kind[row])
+    if kind == SINGULARITY:
+        return 'near a singularity'
+    if kind == SELF_MOTION:
+        return 'null-space motion that could not stop without leaving the path'
+    link = robot.capsules[int(barriers.first[row])].name
+    other = int(barriers.second[row])
+    if kind == LINK:
+        return f"link '{link}' near link '{robot.capsules[other].name}'"
+    index = around.near if kind == OBSTACLE else around.nearest
+    return f"link '{link}' near obstacle '{around.scene.names[index[other]]}'"

@@ -1,0 +1,201 @@
+"""The safety filter: the joint velocity nearest to the desired one that breaks no limit.
+
+One small QP per tick (DAQP) in the joint velocity q̇ and the share s of the commanded twist:
+
+    minimise   ½ ‖q̇ − q̇_des‖²_W − price · s
+    subject to J q̇ = s ẋ,  0 ≤ s ≤ 1          the direction is kept, only speed gives way
+               lower ≤ q̇ ≤ upper               position, velocity and acceleration limits
+               ∇h·q̇ + ∂h/∂t ≥ −rate · h        control barrier of every near pair
+
+Barriers and position limits ask for no braking that the acceleration limits do not give. Let
+T = max_j |q̇_j| / a_j be the time in which the arm can stop with all joints slowing in
+proportion; a clearance or joint range h is then used up by at most |ḣ| T/2 until standstill, so
+ḣ ≥ −h / (T/2 + dt) can always be kept by braking (docs/safety.md has the proof).
+
+Where a problem has no solution the next of `_RULES` is tried. A residual twist is a share
+r ≤ 1 − dt/T of the present one that remains, J q̇ = s ẋ + r J q̇_prev: an arm in motion cannot
+turn or stop at once.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.safety.barriers import barrier_bounds, Barriers, urgent_rows
+from redundant_planner.core.safety.limits import (
+    barrier_rate,
+    Limits,
+    stopping_time,
+    TOLERANCE,
+    velocity_bounds,
+)
+from redundant_planner.core.safety.qp import Found, solve, StageProblem
+
+Array = npt.NDArray[np.float64]
+
+
+class Stage(Enum):
+    """Which problem gave the velocity, in the order in which they are tried."""
+
+    DESIRED = 'the desired velocity breaks no limit'
+    SCALED = 'the speed gave way'
+    BRAKING = 'the arm brakes'
+    YIELDING = 'the arm leaves its path to evade'
+    FORCED = 'a clearance could not be kept at the rate asked for'
+    STOPPED = 'no problem had a solution: every joint slows down as fast as it may'
+
+
+class _Rule(NamedTuple):
+    """What may give way in a stage.
+
+    Attributes:
+        stage: which.
+        brakes: whether the stopping time T must shrink by dt; else it may grow by dt.
+        residual: whether a residual twist may remain.
+        path: whether the path gives way, as little as possible.
+        soft: whether rows that are not urgent count.
+        slack: whether the twist stops, and each barrier gets a heavily priced slack: a barrier
+            that nothing can keep then costs the others nothing.
+    """
+
+    stage: Stage
+    brakes: bool
+    residual: bool
+    path: bool
+    soft: bool
+    slack: bool
+
+
+# The order of giving way. Limits of position, velocity and acceleration hold in every stage.
+_RULES = (
+    _Rule(Stage.SCALED, brakes=False, residual=False, path=False, soft=True, slack=False),
+    _Rule(Stage.BRAKING, brakes=True, residual=True, path=False, soft=True, slack=False),
+    # Only where something moves into the arm or was found too close to it, if that is allowed.
+    _Rule(Stage.YIELDING, brakes=False, residual=True, path=True, soft=False, slack=False),
+    _Rule(Stage.FORCED, brakes=False, residual=True, path=True, soft=False, slack=True),
+)
+
+
+class Request(NamedTuple):
+    """What the tip and the joints shall do, and where the arm is.
+
+    Attributes:
+        desired: (n,) what the method asks for.
+        jacobian: (m, n).
+        twist: (m,) ẋ, feedback included.
+        feedback: (m,) the part of ẋ that leads back to the path: the arm may return where it
+            must not go on.
+        turning: (m,) the tip velocity ½ dt J̇ q̇ that comes of J's turning within the tick:
+            J q̇ is that much less than the tip's motion, at any speed.
+        q, previous: (n,) measured positions and the velocity of the last tick.
+    """
+
+    desired: Array
+    jacobian: Array
+    twist: Array
+    feedback: Array
+    turning: Array
+    q: Array
+    previous: Array
+
+
+class Filtered(NamedTuple):
+    """What the filter decided.
+
+    Attributes:
+        dq: (n,) joint velocity.
+        scale: s, the share of the commanded twist that is followed.
+        residual: r, the share of the previous twist that could not be braked away.
+        stage: which problem it comes from.
+        joints: indices of the joints whose bound acts.
+        pairs: indices of the barriers that act.
+        cut_short: stages before it whose problem took more iterations than it may.
+    """
+
+    dq: Array
+    scale: float
+    residual: float
+    stage: Stage
+    joints: Found
+    pairs: Found
+    cut_short: tuple[Stage, ...] = ()
+
+    @classmethod
+    def untouched(cls, dq: Array) -> Filtered:
+        """Return a velocity that needs no change."""
+        return cls(dq, 1.0, 0.0, Stage.DESIRED, _NONE, _NONE)
+
+
+_NONE = np.empty(0, dtype=np.intp)
+_NO_SPARE: Array = np.empty(0)
+
+
+def safe_velocity(
+    request: Request, limits: Limits, barriers: Barriers, *, weights: Array, gain: float,
+    may_yield: bool, dt: float,
+) -> Filtered:
+    """Return the admissible joint velocity nearest to the desired one.
+
+    Args:
+        request: what is asked for.
+        limits: of the joints.
+        barriers: of what is near.
+        weights: (n,) diagonal of W.
+        gain: barrier gain [1/s].
+        may_yield: whether the path may give way to a barrier.
+        dt: [s].
+    """
+    previous = request.previous
+    stop = stopping_time(previous, limits.acceleration_max)
+    longer, shorter = stop + dt, max(stop - dt, 0.0)
+    lower, upper, kept = velocity_bounds(request.q, previous, limits, longer, dt)
+    low, high = _braking_bounds(request, limits, shorter, dt)
+    # The share of the present twist that proportional braking leaves; r ≤ 1 is of this.
+    share = shorter / stop if stop > 0.0 else 0.0
+    residual = share * (request.jacobian @ previous) + request.turning
+    cut_short: list[Stage] = []
+    for rule in _RULES:
+        # Speeding up would cost an acceleration limit later, if none can be kept now: brake.
+        brakes = rule.brakes or not kept
+        if (rule.stage is Stage.SCALED and not kept) or (
+                rule.stage is Stage.YIELDING and not may_yield):
+            continue
+        rows = len(barriers.value) if rule.soft else urgent_rows(barriers)
+        until = shorter if rule.brakes else longer
+        gradient = barriers.gradient[:rows]
+        bounds = barrier_bounds(barriers, gain, until, dt)[:rows]
+        found, out_of_iterations = solve(StageProblem(
+            request.desired, request.jacobian, request.feedback if rule.slack else request.twist,
+            request.turning, residual, low if brakes else lower, high if brakes else upper,
+            gradient, bounds,
+            barrier_rate(gain, until, dt) * barriers.spare[:rows] if rule.slack else _NO_SPARE,
+            weights, rule.residual, rule.slack, rule.path and may_yield))
+        if out_of_iterations:
+            cut_short.append(rule.stage)
+        if found is not None:
+            return Filtered(
+                found.dq, 0.0 if rule.slack else found.scale,
+                share * found.residual if rule.residual else 0.0, rule.stage, found.joints,
+                found.pairs, tuple(cut_short))
+        # Where nothing but proportional braking is left, the solver may miss it by round-off.
+        slowed = share * previous
+        if rule.stage is Stage.BRAKING and bool(
+                (slowed >= low - TOLERANCE).all() and (slowed <= high + TOLERANCE).all()
+                and (gradient @ slowed >= bounds - TOLERANCE).all()):
+            return Filtered(np.minimum(np.maximum(slowed, low), high), 0.0, share,
+                            Stage.BRAKING, _NONE, _NONE, tuple(cut_short))
+    still = np.minimum(np.maximum(0.0, lower if kept else low), upper if kept else high)
+    return Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE, tuple(cut_short))
+
+
+def _braking_bounds(
+    request: Request, limits: Limits, shorter: float, dt: float,
+) -> tuple[Array, Array]:
+    """Return the (lower, upper) velocities (n,) whose stopping time is no longer than asked."""
+    low, high, _ = velocity_bounds(request.q, request.previous, limits, shorter, dt)
+    fastest = limits.acceleration_max * shorter
+    return np.minimum(np.maximum(low, -fastest), high), np.maximum(np.minimum(high, fastest), low)

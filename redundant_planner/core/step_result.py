@@ -1,0 +1,65 @@
+"""What one tick decided."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety.stages import Stage
+
+Array = npt.NDArray[np.float64]
+
+
+class Nearest(NamedTuple):
+    """The link and obstacle with the smallest level value.
+
+    Attributes:
+        link, obstacle: their names.
+        level: S of Eq. 6 over the whole link, 0 at the safety margin and at the distance kept
+            from an obstacle for its motion.
+        distance: [m] not more than the true distance beyond the margin; negative inside.
+    """
+
+    link: str
+    obstacle: str
+    level: float
+    distance: float
+
+
+class StepResult(NamedTuple):
+    """What one tick decided; arrays are the caller's to keep.
+
+    Attributes:
+        dq: (n,) joint velocity command [rad/s, m/s].
+        least_norm: (n,) J⁺ẋ of this tick.
+        homogeneous: (n,) k P∇H of this tick, or the null-space part of the joint path ahead.
+        factor: k of Eq. 1; 1 where a joint path ahead gives all null-space motion.
+        scale: s, the share of the commanded twist that is followed.
+        stage: how the safety filter came to `dq`.
+        reason: one sentence: what slows or stops the arm; empty when nothing does.
+        fallback: which bound on a tick's work was reached, and what was done instead; empty if
+            none was. It is part of the reason.
+        clearance_index: H_w over all pairs within the influence distance; infinite without any.
+        nearest: the nearest pair, None without obstacles. Of many obstacles that are all too far
+            away to matter, it may be another than the nearest.
+        manipulability: Yoshikawa's measure, the product of J's singular values.
+        pose: the tip at the measured posture.
+        path_error: (6,) reference pose minus `pose` before this tick, in command axes [m, rad].
+    """
+
+    dq: Array
+    least_norm: Array
+    homogeneous: Array
+    factor: float
+    scale: float
+    stage: Stage
+    reason: str
+    fallback: str
+    clearance_index: float
+    nearest: Nearest | None
+    manipulability: float
+    pose: Pose
+    path_error: Array

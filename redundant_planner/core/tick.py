@@ -1,0 +1,236 @@
+"""The part of a tick that is machine code: J⁺ẋ + k P∇H (Eq. 1), and the barriers around it.
+
+Every line of `wish` is an equation of the paper, or a section of docs/derivations.md or
+docs/safety.md.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.constants import Gains, RobotConstants
+from redundant_planner.core.kernels import entry, kernel, OutVector, Vector
+from redundant_planner.core.obstacles.evasion import Turn
+from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.near_pairs import near_pairs, NearPairs
+from redundant_planner.core.obstacles.self_collision import near_links, SelfPairs
+from redundant_planner.core.redundancy import criteria, null_space
+from redundant_planner.core.redundancy.null_space import Decomposition
+from redundant_planner.core.redundancy.reference import Start, Task, task_of
+from redundant_planner.core.robot.jacobian import derivative_between
+from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.safety import barriers as rows
+from redundant_planner.core.safety.barriers import Barriers
+from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.safety.pace import pace, unseen_distances, unseen_share
+
+Array = npt.NDArray[np.float64]
+
+
+class Memory(NamedTuple):
+    """When the links were last measured against each other; the tick brings it up to date.
+
+    Attributes:
+        known_at: (n,) where; NaN if never.
+        known: (p,) what was found there [m].
+    """
+
+    known_at: OutVector
+    known: OutVector
+
+
+class World(NamedTuple):
+    """What a tick knows of the world, and of the time ahead.
+
+    Attributes:
+        ellipsoids: the obstacles that can matter.
+        range_at, ranges: how far all others are, see `Surroundings`.
+        turn: of the first joints, out of an obstacle's course.
+        path: (n,) velocity of the joint path ahead; anything where it is not followed.
+        guided: share of the homogeneous solution that follows it.
+    """
+
+    ellipsoids: InflatedEllipsoids
+    range_at: Vector
+    ranges: Vector
+    turn: Turn
+    path: Vector
+    guided: float
+
+
+class Wish(NamedTuple):
+    """What the method asks for, and what the safety filter needs to know.
+
+    Attributes:
+        dq: (n,) Eq. 1.
+        least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
+        task, barriers: see there.
+        intruded: whether an obstacle moves towards the arm, or the arm was found too close.
+        nearest_link, nearest_obstacle: see `NearPairs`.
+        nearest_normalized_distance, nearest_distance: see `NearPairs`.
+        admissible: whether `dq` breaks no limit and no barrier.
+        blocked: whether the least-norm motion, gone on with, leads into something.
+        unseen_share: of the fastest motion, see `pace.unseen_share`.
+    """
+
+    dq: Vector
+    least_norm: Vector
+    homogeneous: Vector
+    factor: float
+    clearance_index: float
+    manipulability: float
+    task: Task
+    barriers: Barriers
+    intruded: bool
+    nearest_link: int
+    nearest_obstacle: int
+    nearest_normalized_distance: float
+    nearest_distance: float
+    admissible: bool
+    blocked: bool
+    unseen_share: float
+
+
+class LeastNorm(NamedTuple):
+    """The least-norm solution, in coordinates in which every joint costs the same.
+
+    Attributes:
+        parts: of the (m, n) Jacobian.
+        inverse: (m,) gains of its inverse.
+        twist: (m,) ẋ.
+        motion: (n,) J⁺ẋ.
+    """
+
+    parts: Decomposition
+    inverse: Vector
+    twist: Vector
+    motion: Vector
+
+
+@kernel
+def _total_gradient(
+    start: Start, clearance: Vector, least: LeastNorm, constants: RobotConstants, gains: Gains,
+) -> Array:
+    """Return ∇H of Eq. 18; a criterion of no weight costs nothing.
+
+    Args:
+        start, constants, gains: see there.
+        clearance: (n,) ∇H_w.
+        least: the least-norm solution.
+    """
+    arm, parts, scaling = start.arm, least.parts, constants.scaling
+    joint_limit, shortest_path, manipulability = np.zeros((3, len(scaling)))
+    if gains.criteria_k_s > 0.0:
+        _, joint_limit = criteria.joint_limit_index(
+            arm.q, constants.position_min, constants.position_max)
+    if gains.criteria_k_f > 0.0:
+        _, shortest_path = criteria.shortest_path_index(least.motion, derivative_between(
+            null_space.dual(parts, least.inverse, least.twist), arm.tip_jacobian,
+            scaling * least.motion, arm.tip_rotation, constants.in_tool, constants.rows))
+    nearness = parts.singular_values[-1] / max(gains.singularity_margin, 1e-9) - 1.0
+    if gains.criteria_k_m > 0.0 and nearness < 1.0:
+        changes = np.empty(parts.right.shape)
+        for i in range(len(changes)):
+            changes[i] = derivative_between(
+                parts.left[:, i], arm.tip_jacobian, scaling * parts.right[i],
+                arm.tip_rotation, constants.in_tool, constants.rows)
+        _, manipulability = criteria.manipulability_index(parts, changes)
+        manipulability = criteria.fade(nearness) * manipulability
+    return criteria.total_gradient(
+        clearance, joint_limit, shortest_path, manipulability, criteria.IndexWeights(
+            gains.criteria_k_w, gains.criteria_k_s, gains.criteria_k_f, gains.criteria_k_m))
+
+
+@kernel
+def _blocked(
+    near: NearPairs, q: Vector, motion: Vector, limits: Limits, look_ahead: float,
+) -> bool:
+    """Return whether a motion (n,), gone on with, leads into an obstacle or a joint limit.
+
+    Clearances and positions are taken to go on changing as they do, for `look_ahead` [s].
+    """
+    if look_ahead == 0.0:
+        return False
+    for i in range(len(near.normalized_distance)):
+        rate = near.rate[i]
+        for j in range(len(motion)):
+            rate += near.gradient[i, j] * motion[j]
+        if near.normalized_distance[i] + look_ahead * rate < 0.0:
+            return True
+    for j in range(len(motion)):
+        if not limits.positions[1, j] <= q[j] + look_ahead * motion[j] <= limits.positions[0, j]:
+            return True
+    return False
+
+
+@entry
+def wish(
+    start: Start, world: World, memory: Memory, constants: RobotConstants, limits: Limits,
+    gains: Gains,
+) -> Wish:
+    """Return J⁺ẋ + k P∇H, and the barriers around it."""
+    arm, ellipsoids, scaling, dt = start.arm, world.ellipsoids, constants.scaling, start.dt
+
+    # ẋ: the command plus the feedback to the reference pose.
+    task = task_of(start, constants, gains)
+
+    # J⁺ẋ, in coordinates in which every joint costs the same.
+    parts = null_space.decompose(arm.jacobian * scaling)
+    inverse = null_space.inverse_gains(
+        parts.singular_values, gains.singularity_damping_threshold, gains.singularity_damping)
+    twist = task.commanded + task.feedback - task.turning
+    least = LeastNorm(
+        parts, inverse, twist, null_space.least_norm(parts, inverse, twist))
+
+    # What the arm may come close to in this tick.
+    can = pace(start.previous, constants, gains.clearance_gain, dt)
+    links = Links(arm.segment_start, arm.segment_end, arm.joint_screws, constants.supports)
+    near = near_pairs(
+        ellipsoids, links, can.link_speeds, can.rate, gains.clearance_influence_distance,
+        unseen_distances(arm.q, constants.lever_arm_bounds, world.range_at, world.ranges))
+    self_pairs = SelfPairs(constants.radii, constants.self_pairs, constants.self_supports,
+                           constants.self_lever_arm_bounds)
+    own = near_links(
+        arm.q, links, self_pairs, can.fastest, can.rate, memory.known_at, memory.known)
+
+    # k P∇H, Eqs. 2 and 18.
+    level, clearance = criteria.clearance_index(
+        near.normalized_distance, near.distance, near.gradient, gains.clearance_smoothing,
+        gains.clearance_influence_distance)
+    factor, homogeneous = 1.0, np.zeros(len(scaling))
+    if world.guided < 1.0:
+        gradient = _total_gradient(start, clearance, least, constants, gains)
+        projected = null_space.project(parts, gradient * scaling)
+        factor = gains.criteria_k_fixed if gains.fixed else null_space.dynamic_factor(
+            gains.criteria_k_alpha, least.motion, projected)
+        homogeneous = (1.0 - world.guided) * factor * projected
+    if world.guided > 0.0:
+        homogeneous += world.guided * null_space.project(parts, world.path / scaling)
+    least_norm, homogeneous = scaling * least.motion, scaling * homogeneous
+    dq = least_norm + homogeneous  # Eq. 1
+
+    # The barriers. To evade, any null-space speed is better than leaving the path.
+    intruded, turn = rows.is_intruded(near, world.turn), world.turn
+    found = rows.room_for(
+        len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 2, len(dq))
+    at = rows.obstacle_rows(found, 0, near, ellipsoids, gains.clearance_lead)
+    at = rows.turn_rows(found, at, turn, limits.velocity_max)
+    at = rows.link_rows(found, at, own, constants)
+    at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
+    if not intruded:
+        at = rows.self_motion_row(found, at, arm, parts, start.previous, constants, dt)
+    barriers = rows.first_rows(found, at)
+
+    share = unseen_share(near.unseen, can)
+    admissible = (
+        share == 1.0 and parts.singular_values[-1] >= gains.singularity_damping_threshold
+        and rows.admissible(
+            dq, arm.q, start.previous, limits, barriers, gains.clearance_gain, dt))
+    return Wish(
+        dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts), task,
+        barriers, intruded, near.nearest_link, near.nearest_obstacle,
+        near.nearest_normalized_distance, near.nearest_distance, admissible,
+        _blocked(near, arm.q, least_norm, limits, gains.horizon_look_ahead), share)

@@ -1,0 +1,80 @@
+"""Names that parameters had in version 0.1.0: refused in files, translated in bags."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+RENAMED: Mapping[str, str] = {
+    'k_alpha': 'criteria.k_alpha',
+    'k_fixed': 'criteria.k_fixed',
+    'k_w': 'criteria.k_w',
+    'k_s': 'criteria.k_s',
+    'k_f': 'criteria.k_f',
+    'joint_weights': 'criteria.joint_weights',
+    'clearance_margin': 'clearance.margin',
+    'influence_distance': 'clearance.influence_distance',
+    'self_collision_margin': 'clearance.self_margin',
+    'barrier_gain': 'clearance.gain',
+    'obstacle_lead': 'clearance.lead',
+    'position_margin': 'limits.position_margin',
+    'linear_speed_max': 'limits.linear_speed',
+    'angular_speed_max': 'limits.angular_speed',
+    'singularity_margin': 'singularity.margin',
+    'horizon': 'horizon.duration',
+    'horizon_held': 'horizon.held_duration',
+    'horizon_nodes': 'horizon.nodes',
+    'look_ahead': 'horizon.look_ahead',
+    'drift_gain': 'feedback.gain',
+}
+# Constants now; bags still say what they were.
+_CONSTANT: Mapping[str, str] = {
+    'k_m': 'criteria.k_m',
+    'clearance_smoothing': 'clearance.smoothing',
+    'evasion_horizon': 'clearance.evasion_horizon',
+    'damping': 'singularity.damping',
+    'damping_threshold': 'singularity.damping_threshold',
+    'drift_speed': 'feedback.speed',
+    'drift_angular_speed': 'feedback.angular_speed',
+    'drift_distance': 'feedback.distance',
+    'drift_angle': 'feedback.angle',
+}
+_GONE = {
+    **dict.fromkeys((*_CONSTANT, 'position_tolerance', 'diagnostics_rate', 'marker_rate'),
+                    'it is a constant now'),
+    **dict.fromkeys(('safety_filter', 'clearance_points'),
+                    "the paper's method to the letter is 'method: paper' now"),
+}
+# The first parts of grouped names.
+GROUPS = tuple(sorted({name.partition('.')[0] for name in RENAMED.values()}))
+
+
+def what_became_of(name: str) -> str:
+    """Return what to do about a name of version 0.1.0, as a sentence; empty for other names."""
+    if name in RENAMED:
+        return f"parameter '{name}' is called '{RENAMED[name]}' now"
+    if name in _GONE:
+        return f"parameter '{name}' is not set any more: {_GONE[name]}"
+    return ''
+
+
+def flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameter values with those of a group under their full names, `group.name`."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if name in GROUPS and isinstance(value, Mapping):
+            found |= {f'{name}.{key}': inner for key, inner in value.items()}
+        else:
+            found[name] = value
+    return found
+
+
+def translated(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a recorded configuration under the names of today."""
+    found = {RENAMED.get(name) or _CONSTANT.get(name, name): value
+             for name, value in flat(values).items()}
+    letter = found.pop('clearance_points', 'links') == 'joints'
+    if not found.pop('safety_filter', True) and letter:
+        fixed = found.get('method') == 'gradient_projection'
+        found['method'] = 'paper_gradient_projection' if fixed else 'paper'
+    return found

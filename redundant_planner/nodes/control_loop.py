@@ -1,0 +1,261 @@
+"""The control loop: each tick reads, decides, moves or brakes the arm, and publishes."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Callable
+import time
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.errors import StateError
+from redundant_planner.core.horizon.preview import TwistAhead
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot import se3
+from redundant_planner.core.safety.limits import braked
+from redundant_planner.core.safety.stopping import PositionCommand
+from redundant_planner.io.node_parameters import PlannerNodeParameters
+from redundant_planner.io.recorded_tick import RecordedTick, TickKind
+from redundant_planner.nodes.command_input import CommandInput
+from redundant_planner.nodes.command_output import CommandOutput
+from redundant_planner.nodes.command_pacer import CommandPacer
+from redundant_planner.nodes.guard import Guard, line_of
+from redundant_planner.nodes.joint_messages import JointReader
+from redundant_planner.nodes.last_word import ACKNOWLEDGED, LastWord, PAUSE, STOPS
+from redundant_planner.nodes.loop_clock import LoopClock
+from redundant_planner.nodes.obstacle_input import ObstacleInput
+from redundant_planner.nodes.polled_subscription import PolledSubscription
+from redundant_planner.nodes.state_report import LoopState
+from redundant_planner.nodes.supervisor import Decision, Supervisor
+from redundant_planner.paper.method import PaperPlanner, planner_of
+
+Array = npt.NDArray[np.float64]
+
+_NO_TWIST = np.zeros(6)
+# A measured posture that jumps by more than this beyond what the arm can travel, or is so far from
+# the commanded one, starts everything again from the measured posture [rad, m].
+_JUMP = 0.1
+
+
+class ControlLoop:
+    """Runs `Planner.step` on the latest inputs, as far as the supervisor lets the arm move.
+
+    Work that the command of a tick does not need is done after that command is out.
+
+    Attributes:
+        planner, supervisor: the mathematics, and the arm's permission to move.
+        command, obstacles, output: the inputs and the output.
+        inboxes: subscriptions that each tick fetches, and who takes their messages.
+        settings: of the loop; assigning new ones changes its timeouts.
+        state: for reports.
+        pacer: when ticks and commands are due.
+        clock: that it runs by.
+        now: when the latest tick began [s].
+    """
+
+    def __init__(
+        self, planner: Planner | PaperPlanner, settings: PlannerNodeParameters, *,
+        clock: LoopClock, command: CommandInput, obstacles: ObstacleInput, output: CommandOutput,
+        last_word: LastWord, guard: Guard, warn: Callable[[str], None],
+        publish_tick: Callable[[array.array[float]], None] | None,
+    ) -> None:
+        """Prepare, with the arm at rest.
+
+        Args:
+            planner: of the robot.
+            settings: of the loop.
+            clock: that it runs by.
+            command, obstacles: the inputs.
+            output: takes each command.
+            last_word: stops the arm should this process die.
+            guard: counts exceptions.
+            warn: takes sentences for the log.
+            publish_tick: takes all inputs of each tick (`RecordedTick`); None to leave that out.
+        """
+        robot = planner.robot
+        self.planner = planner
+        self.supervisor = Supervisor(robot.velocity_max, _JUMP)
+        self.command, self.obstacles, self.output = command, obstacles, output
+        self.inboxes: list[tuple[PolledSubscription, Callable[[bytes], None]]] = []
+        self.settings = settings
+        self.state = LoopState()
+        self.now = -np.inf
+        self._period = 1.0 / settings.rate
+        self.pacer = CommandPacer(self._period)
+        self._robot = robot
+        self.clock = clock
+        self._last_word, self._guard, self._warn = last_word, guard, warn
+        self._publish_tick = publish_tick
+        self._joints = JointReader(robot.joint_names)
+        self._position_command = PositionCommand(
+            robot.position_min, robot.position_max, _JUMP)
+        self._last_command: Array | None = None  # velocities; None while the arm rests
+        self._is_sent = False  # whether this tick's command is out
+        self._no_time = ''  # why the loop's clock stands still
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the arm rests and the node is silent."""
+        return self._last_command is None
+
+    def on_joint_states(self, raw: bytes) -> None:
+        """Take a serialised JointState."""
+        try:
+            self.supervisor.measured(self._joints.positions(raw), self.now)
+        except StateError as error:
+            self._warn(f'joint_states ignored: {error}')
+
+    def tick(self) -> bool:
+        """Command the arm once; an unforeseen exception brings it to rest.
+
+        Returns:
+            Whether this tick had obstacles to read besides.
+        """
+        begin = time.perf_counter()
+        messages = [(inbox.topic, take, raw) for inbox, take in self.inboxes
+                    for raw in self._guard.call(f'reading {inbox.topic}', inbox.fetch) or ()]
+        self.now = self.clock.now()
+        if not self.clock.simulated:  # simulated time stands still while a command waits
+            self.pacer.begin(self.now)
+        self._is_sent, self._no_time = False, ''
+        for topic, take, raw in messages:
+            self._guard.call(f'reading {topic}', take, raw)
+        try:
+            decision = self._move_or_brake()
+        except Exception as error:
+            self._guard.caught('the tick', error)
+            self.supervisor.fail(
+                f'fault in the tick: {line_of(error)}; ~/reset goes on from there')
+            decision = Decision(self.supervisor.failure, is_fault=True)
+            if not self._is_sent:
+                self._guard.call('braking', self._brake)
+        self.state.hold, self.state.fault = decision.hold, decision.is_fault
+        elapsed = time.perf_counter() - begin - self.pacer.waited
+        self.state.tick_times.append(elapsed)
+        self.state.overruns += elapsed > self._period
+        return bool(self._guard.call('reading obstacles', self._read_obstacles))
+
+    def refuse_time(self, reason: str) -> None:
+        """Have `brake_without_time` stop the arm: without time there are no ticks."""
+        self._warn(reason)
+        self._no_time = reason
+
+    def brake_without_time(self) -> bool:
+        """Brake, if the loop's clock stands still; return whether it does."""
+        if self._no_time:
+            self.state.hold, self.state.fault = self._no_time, True
+            self._brake()
+        return bool(self._no_time)
+
+    def finish(self) -> None:
+        """Bring a moving arm to rest and leave it with a stop as its last command.
+
+        A publisher that is destroyed at once takes messages with it that are still on their way,
+        and best-effort listeners do not acknowledge: they are told more than once.
+        """
+        if self.at_rest:
+            return
+        while not self.at_rest:
+            self._brake()
+            time.sleep(self._period)
+        for _ in range(STOPS):
+            self._send(np.zeros(self._robot.n), TickKind.BRAKING)
+            time.sleep(PAUSE)
+        self.output.wait_until_heard(ACKNOWLEDGED)
+
+    def _move_or_brake(self) -> Decision:
+        """Do what the supervisor decides; return that."""
+        if self.supervisor.recovery_due(self.at_rest):
+            self._recover()
+        decision = self.supervisor.decide(
+            self.now, self.at_rest, self.settings.joint_state_timeout)
+        if decision.time_jumped:
+            self.command.forget_preview()
+        if decision.warning:
+            self._warn(decision.warning)
+        if decision.hold:
+            self._brake()
+        else:
+            self._move(decision.ignore_command)
+        return decision
+
+    def _recover(self) -> None:
+        """Forget all about the motion: any part of it may have led to the failure."""
+        self.planner = planner_of(self._robot, self.planner.parameters)
+        self._position_command.reset()
+        self.command.forget()
+        self.command.forget_preview()
+        self.state.result = None
+        self.supervisor.recovered()
+
+    def _brake(self) -> None:
+        """Slow down within the acceleration limits; at rest, forget the command."""
+        if self._last_command is None:
+            return
+        dq = braked(self._last_command, self._robot.acceleration_max, self._period)
+        self._send(dq, TickKind.BRAKING)
+        if not dq.any():
+            self._last_command = None
+            self.command.forget()
+
+    def _move(self, ignore_command: str) -> None:
+        """Take a step of the planner; the command is zero if there is a reason to ignore it."""
+        posture, kind = self._posture(), TickKind.GOING_ON
+        if self.at_rest:
+            kind = TickKind.STARTING
+            self.planner.reset()
+            self._position_command.reset()
+        twist, ahead = _NO_TWIST, None
+        if not ignore_command:
+            timeout = self.settings.incoming_command_timeout
+            twist = self._in_command_frame(self.command.twist(timeout), posture)
+            ahead = self.command.ahead(timeout)
+        self.state.trouble = ignore_command
+        self.obstacles.tracker.expire(self.now)
+        result = self.planner.step(posture, twist, self.obstacles.scene, self._period, ahead)
+        if not np.isfinite(result.dq).all():
+            raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
+        self._send(result.dq, kind, twist, ahead)
+        before = self.state.result
+        if result.reason and not (before is not None and before.reason):
+            self._warn(result.reason)
+        self.state.result = result
+
+    def _posture(self) -> Array:
+        posture = self.supervisor.posture
+        assert posture is not None, 'the arm moves only after a measurement'
+        return posture
+
+    def _in_command_frame(self, twist: Array, posture: Array) -> Array:
+        """Return a twist (6,) of the operator's in the planner's command axes."""
+        if self.command.frame == self._robot.command_frame or not twist.any():
+            return twist
+        rotation = self._robot.kinematics(posture).tip_rotation
+        return se3.turned(twist, rotation if self.command.frame == 'tool' else rotation.T)
+
+    def _send(
+        self, dq: Array, kind: TickKind, twist: Array = _NO_TWIST,
+        ahead: TwistAhead | None = None,
+    ) -> None:
+        """Publish a command (n,) at its moment, and the inputs that led to it."""
+        posture = self._posture()
+        positions = self._position_command.advance(
+            posture, dq, self._period, known=kind is not TickKind.BRAKING)
+        self.pacer.wait()
+        stamp_ns = self.clock.stamp_ns()
+        self._last_word.note(stamp_ns, positions, dq)
+        self.output.publish(stamp_ns, positions, dq)
+        self._last_command, self._is_sent = dq, True
+        if self._publish_tick is not None:
+            elapsed = self.command.preview_elapsed() if ahead is not None else np.nan
+            self._publish_tick(RecordedTick(
+                stamp_ns, self.now, kind, self.obstacles.read_count, self.command.previews,
+                elapsed, twist, posture).numbers())
+
+    def _read_obstacles(self) -> bool:
+        """Read obstacle messages that wait; return whether there were any."""
+        if not self.obstacles.read(self.now):
+            return False
+        self.planner.prepare(self.obstacles.scene)
+        return True

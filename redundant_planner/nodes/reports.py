@@ -1,0 +1,72 @@
+"""What planner_node publishes about itself: /diagnostics, ~/markers, ~/configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from redundant_planner.nodes.control_loop import ControlLoop
+from redundant_planner.nodes.endable_node import EndableNode
+from redundant_planner.nodes.robot_markers import RobotMarkers
+from redundant_planner.nodes.settings import Settings
+from redundant_planner.nodes.state_report import diagnostics, status_of
+
+
+class Reports:
+    """Publishes the loop's state; each method is a chore for a moment between two ticks."""
+
+    def __init__(
+        self, node: EndableNode, loop: ControlLoop, settings: Callable[[], Settings],
+    ) -> None:
+        """Create the publishers.
+
+        Args:
+            node: to create them on.
+            loop: to report on.
+            settings: returns the settings in use.
+        """
+        self._node, self._loop, self._settings = node, loop, settings
+        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._markers = node.create_publisher(MarkerArray, '~/markers', 1)
+        self._robot_markers = RobotMarkers(loop.planner.robot)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._configuration = node.create_publisher(String, '~/configuration', latched)
+        self._published: Settings | None = None
+
+    def publish_configuration(self) -> None:
+        """Publish all parameters if they have changed, so that a bag explains itself."""
+        settings = self._settings()
+        if settings is not self._published:
+            self._published = settings
+            self._configuration.publish(
+                String(data=settings.file_text(self._loop.planner.robot)))
+
+    def publish_diagnostics(self) -> None:
+        """Publish the state of the loop."""
+        loop, guard, state = self._loop, self._node.guard, self._loop.state
+        now = loop.clock.now()
+        state.joint_state_age = loop.supervisor.measurement_age(now)
+        state.command_age = loop.command.age()
+        state.obstacle_age = now - loop.obstacles.read_at
+        state.faults, state.last_fault = guard.count, guard.last
+        status = status_of(
+            self._node.get_fully_qualified_name(), loop.planner.robot, state,
+            loop.supervisor.posture, loop.planner.parameters.method,
+            len(loop.obstacles.scene.names))
+        self._diagnostics.publish(diagnostics(status, self._node.get_clock().now().to_msg()))
+        state.tick_times.clear()
+
+    def publish_markers(self) -> None:
+        """Publish the planner's view of the world, if somebody listens."""
+        posture, planner = self._loop.supervisor.posture, self._loop.planner
+        if posture is None or not self._markers.get_subscription_count():
+            return
+        result, reference = self._loop.state.result, planner.reference
+        self._markers.publish(self._robot_markers.message(
+            planner.robot.kinematics(posture), self._loop.obstacles.scene,
+            result.nearest if result is not None else None,
+            reference.position if reference is not None else None))

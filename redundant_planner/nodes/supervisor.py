@@ -1,0 +1,211 @@
+"""Decides in each tick whether the arm may move, and says why not. No ROS, no clock of its own.
+
+The node tells the supervisor of everything that bears on the decision, as it happens: measured
+postures, other publishers, requests of the operator, faults. Times are seconds of the loop's
+clock; nothing here reads a clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.safety.stopping import has_jumped
+
+Array = npt.NDArray[np.float64]
+
+# How long the arm waits before it first moves, and listens for another node that commands it [s].
+LISTENING = 1.0
+# If the arm moves further than this meanwhile, another node commands it [rad, m].
+MOVED_BY_OTHERS = 5e-3
+# After a longer time without a tick the motion starts again from the measured posture [s].
+LONGEST_GAP = 1.0
+
+
+class Decision(NamedTuple):
+    """What the arm may do in a tick.
+
+    Attributes:
+        hold: why the arm must come to rest and stay there; empty if it may move.
+        is_fault: whether `hold` is a fault, rather than the start or the operator's wish.
+        ignore_command: why the command counts as zero although the arm may move; empty if it
+            counts.
+        time_jumped: whether earlier times mean nothing any more.
+        warning: for the log; empty if there is nothing to say.
+    """
+
+    hold: str = ''
+    is_fault: bool = False
+    ignore_command: str = ''
+    time_jumped: bool = False
+    warning: str = ''
+
+
+class Supervisor:
+    """Collects what bears on the arm's permission to move; `decide` draws the conclusion.
+
+    Attributes:
+        posture: (n,) the latest measurement [rad, m]; None before the first.
+        failure: the fault that holds the arm until `reset`; empty without one.
+        listening: whether the arm has not been allowed to move yet, so that a command on its topic
+            comes from another node.
+    """
+
+    def __init__(self, velocity_max: Array, position_tolerance: float) -> None:
+        """Begin without a measurement.
+
+        Args:
+            velocity_max: (n,) the joints' limits [rad/s, m/s].
+            position_tolerance: a measured posture that is further from the one before than the
+                arm can travel, plus this, is a jump [rad, m].
+        """
+        self.posture: Array | None = None
+        self.failure = ''
+        self.listening = True
+        self._velocity_max = velocity_max
+        self._position_tolerance = position_tolerance
+        self._measured_at = -np.inf
+        # Where the arm was when listening began, and until when it goes on.
+        self._first_posture: Array | None = None
+        self._listen_until = np.inf
+        self._last_tick = -np.inf
+        self._restart = ''
+        self._reset_wanted = False
+        self._paused = False
+        self._command_publishers: Sequence[str] = ()
+        self._twist_publishers: Sequence[str] = ()
+
+    def measured(self, posture: Array, now: float) -> None:
+        """Take a measured posture (n,), and see whether the arm has jumped [rad, m; s]."""
+        if self._first_posture is None or (self.listening and float(
+                np.abs(posture - self._first_posture).max()) > MOVED_BY_OTHERS):
+            # The middleware finds other nodes at about the time it finds the arm. An arm in motion
+            # is commanded by a node that it may not have found yet.
+            self._first_posture, self._listen_until = posture, now + LISTENING
+        elif not self.listening and self.posture is not None and has_jumped(
+                self.posture, posture, self._velocity_max, now - self._measured_at,
+                self._position_tolerance):
+            self._restart = 'joint_states jumped: the motion starts again from where the arm is'
+        self.posture, self._measured_at = posture, now
+
+    def heard_a_command(self, now: float) -> None:
+        """Note a command on the arm's topic while this node is silent: another node's [s]."""
+        if self.listening:
+            self._listen_until = now + LISTENING
+
+    def found_publishers(self, of_commands: Sequence[str], of_twists: Sequence[str]) -> None:
+        """Take the names of all nodes that publish joint_command, this one included, and cmd_vel.
+
+        A joint_command from a second node stops the arm; so does a second sender of cmd_vel, as
+        twists from two senders are not mixed.
+        """
+        self._command_publishers, self._twist_publishers = of_commands, of_twists
+
+    def pause(self, paused: bool) -> str:
+        """Leave the arm to others, or take it back; return the answer to the operator."""
+        self._paused = paused
+        return ('paused: the arm comes to rest and is left to others' if paused
+                else 'resumed from where the arm is')
+
+    def reset(self) -> str:
+        """Have the motion start again from the measured posture, after a fault too.
+
+        Returns:
+            The answer to the operator.
+        """
+        self._restart = 'reset: the motion starts again from where the arm is'
+        self._reset_wanted = bool(self.failure)
+        return self._restart
+
+    def fail(self, reason: str) -> None:
+        """Hold the arm until `reset`; of several reasons the first one counts."""
+        self.failure = self.failure or reason
+
+    def recovery_due(self, at_rest: bool) -> bool:
+        """Return once, after a reset, whether the caller may now recover from a failure."""
+        due = self._reset_wanted and at_rest
+        self._reset_wanted = self._reset_wanted and not due
+        return due
+
+    def recovered(self) -> None:
+        """Forget the failure: the caller has dropped whatever led to it."""
+        self.failure = ''
+
+    def first_motion_within(self, now: float, seconds: float) -> bool:
+        """Return whether the arm may move for the first time within some seconds [s]."""
+        return self.listening and now < self._listen_until <= now + seconds
+
+    def measurement_age(self, now: float) -> float:
+        """Return how long ago the latest measurement came [s]; infinite without one."""
+        return now - self._measured_at
+
+    def decide(self, now: float, at_rest: bool, joint_state_timeout: float) -> Decision:
+        """Return what the arm may do in the tick that begins now.
+
+        Args:
+            now: [s].
+            at_rest: whether no command that moves the arm is in force.
+            joint_state_timeout: an older measurement is none [s].
+        """
+        time_jumped = self._note_time(now)
+        if self.failure:
+            decision = Decision(self.failure, is_fault=True)
+        else:
+            decision = (self._start(now) or self._fault(now, at_rest, joint_state_timeout)
+                        or self._wishes())
+        return decision._replace(time_jumped=time_jumped)
+
+    def _note_time(self, now: float) -> bool:
+        """Note a tick; return whether the clock jumped or the process slept since the last one."""
+        gap, self._last_tick = now - self._last_tick, now
+        if not np.isfinite(gap) or 0.0 <= gap <= LONGEST_GAP:
+            return False
+        self._restart = f'the clock jumped by {gap:.3f} s: the motion starts again'
+        # Times in the future would stay young for ever.
+        self._measured_at = min(self._measured_at, now)
+        self._listen_until = min(self._listen_until, now + LISTENING)
+        return True
+
+    def _start(self, now: float) -> Decision | None:
+        """Return why the arm must wait for its first motion, if it must."""
+        if self.posture is None:
+            return Decision('waiting for joint_states')
+        if self.listening and now < self._listen_until:
+            return Decision('listening whether another node commands this arm')
+        self.listening = False
+        return None
+
+    def _fault(self, now: float, at_rest: bool, joint_state_timeout: float) -> Decision | None:
+        """Return which fault stops the arm, if one does."""
+        age = now - self._measured_at
+        if age > joint_state_timeout:
+            return Decision(
+                f'no usable joint_states for {age:.1f} s', is_fault=True,
+                warning=f'no usable joint_states for {joint_state_timeout:g} s: stopped')
+        if self._restart and not at_rest:
+            return Decision(self._restart, is_fault=True, warning=self._restart)
+        self._restart = ''
+        if len(self._command_publishers) > 1:
+            reason = _several('joint_command', self._command_publishers)
+            return Decision(reason, is_fault=True,
+                            warning=f'{reason}; stopped until only one is left')
+        return None
+
+    def _wishes(self) -> Decision:
+        """Return what the operator asks for: a pause, or motion by one sender's twists."""
+        if self._paused:
+            return Decision('paused')
+        if len(self._twist_publishers) > 1:
+            reason = (f'{_several("cmd_vel", self._twist_publishers, "which are not mixed")}; '
+                      'stop all but one, or use twist_mux')
+            return Decision(ignore_command=reason, warning=reason)
+        return Decision()
+
+
+def _several(topic: str, publishers: Sequence[str], remark: str = '') -> str:
+    """Return the sentence about a topic with several publishers."""
+    return (f'{topic} has {len(publishers)} publishers{", " if remark else ""}{remark}: '
+            f'{", ".join(publishers)}')
