@@ -18,12 +18,12 @@ STEPS = (
     (('core.redundancy.null_space', 'core.robot.se3'),
      ('core.robot.jacobian', 'core.robot.kinematics', 'core.obstacles.clearance')),
     (('core.obstacles.near_pairs', 'core.redundancy.criteria'),
-     ('core.obstacles.self_collision', 'core.robot.model', 'core.obstacles.nearby',
-      'core.obstacles.motion_estimate', 'core.safety.limits', 'core.safety.stopping')),
-    (('core.horizon.path_qp', 'io.obstacle_tracker', 'io.preview_reader'),
-     ('core.obstacles.evasion', 'core.redundancy.reference', 'core.safety.pace',
-      'core.safety.barriers', 'core.safety.qp')),
-    (('core.tick',), ()),
+     ('core.obstacles.self_collision', 'core.safety.limits', 'core.safety.qp',
+      'core.safety.stopping', 'core.obstacles.motion_estimate', 'core.robot.model')),
+    (('core.obstacles.evasion', 'core.safety.barriers'),
+     ('core.redundancy.reference', 'core.safety.pace', 'core.obstacles.nearby',
+      'io.obstacle_tracker', 'io.preview_reader')),
+    (('core.tick',), ('core.horizon.path_qp',)),
     (('core.planner',), ()),
 )
 

@@ -11,6 +11,16 @@ from redundant_planner.nodes.ros_parameters import parameter_page
 
 TOP = Path(__file__).resolve().parent.parent
 PAGES = [TOP / 'README.md', TOP / 'CONTRIBUTING.md', *sorted((TOP / 'docs').glob('*.md'))]
+# Made by commands, lines as long as they come.
+MADE = ('parameters.md',)
+WIDEST = 100
+
+
+def prose(page: Path) -> list[str]:
+    """Return the lines that are neither code, nor tables, nor headings, nor pictures."""
+    without_code = re.sub(r'^```.*?^```', '', page.read_text(), flags=re.S | re.M)
+    return [line for line in without_code.splitlines()
+            if not line.startswith(('|', '    ', '#', '!', '<!--'))]
 
 
 def test_the_parameter_page_is_up_to_date():
@@ -22,10 +32,40 @@ def test_files_named_in_the_docs_exist(page):
     text = page.read_text()
     for link in re.findall(r'\]\((?!http)([^)#]+)', text):
         assert (page.parent / link).exists(), f'{page.name} links to {link}'
-    for name in re.findall(r'`((?:core|nodes|analysis)/\w+\.py)`', text):
-        assert (TOP / 'redundant_planner' / name).is_file(), f'{page.name} names {name}'
+    inside = {path.relative_to(TOP / 'redundant_planner').as_posix()
+              for path in (TOP / 'redundant_planner').rglob('*.py')}
+    tests = {path.name for path in (TOP / 'test').rglob('*.py')}
+    for name in re.findall(r'(?<![\w/.-])(?:redundant_planner/)?([\w/]+\.py)\b', text):
+        known = (name in inside or (TOP / name).is_file() or name in tests)
+        assert known, f'{page.name} names {name}'
     for name in re.findall(r'`((?:config|docs|launch|test|benchmark)/[\w/.]+\.\w+)`', text):
         assert (TOP / name).is_file(), f'{page.name} names {name}'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda p: p.name)
+def test_commands_named_in_the_docs_exist(page):
+    for name in re.findall(r'python -m ((?:benchmark|redundant_planner)[\w.]*)', page.read_text()):
+        path = TOP / name.replace('.', '/')
+        assert path.with_suffix('.py').is_file() or (path / '__main__.py').is_file(), (
+            f'{page.name} runs {name}')
+
+
+@pytest.mark.parametrize('page', [p for p in PAGES if p.name not in MADE], ids=lambda p: p.name)
+def test_prose_is_at_most_100_columns_wide(page):
+    for line in prose(page):
+        assert len(line) <= WIDEST, f'{page.name}: {line}'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda p: p.name)
+def test_the_docs_refer_to_nothing_that_users_do_not_have(page):
+    assert 'DESIGN' not in page.read_text() and 'REVIEW' not in page.read_text()
+
+
+def test_the_ten_lines_are_those_of_the_first_example():
+    shown = re.search(r'```python\n(.*?)```', (TOP / 'README.md').read_text(), flags=re.S)
+    assert shown is not None
+    example = (TOP / 'examples' / '01_follow_a_twist.py').read_text()
+    assert example.endswith(shown.group(1))
 
 
 def test_versions_agree():

@@ -23,9 +23,8 @@ class RobotConstants(NamedTuple):
         position_min, position_max, velocity_max, acceleration_max: (n,) see `Robot`.
         scaling: (n,) 1 / square root of the joint weights.
         lever_arm_bounds, supports: (c, n) see `Robot`.
-        radii: (c,) of the links, half the self-collision margin included [m].
-        self_pairs: (p, 2) links that can run into each other; none if that is switched off.
-        self_supports, self_lever_arm_bounds: (p, n) see `SelfPairs`.
+        radii, self_pairs, self_supports, self_lever_arm_bounds: the fields of `SelfPairs`; without
+            pairs if self-collision is switched off.
         rows: (m,) the controlled ones of the six axes.
         in_tool: whether J and twists are in tool axes.
     """

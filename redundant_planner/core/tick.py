@@ -69,8 +69,8 @@ class Wish(NamedTuple):
         least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
         task, barriers: see there.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
-        nearest_link, nearest_obstacle: see `NearPairs`.
-        nearest_normalized_distance, nearest_distance: see `NearPairs`.
+        nearest_link, nearest_obstacle, nearest_normalized_distance, nearest_distance: see
+            `NearPairs`.
         admissible: whether `dq` breaks no limit and no barrier.
         blocked: whether the least-norm motion, gone on with, leads into something.
         unseen_share: of the fastest motion, see `pace.unseen_share`.

@@ -138,11 +138,11 @@ class PaperPlanner:
         points = self.robot.joint_points(arm.q)
         ellipsoids = inflated_ellipsoids(scene, np.zeros(len(points)))
         pairs = link_clearance(ellipsoids, points, points)
-        distance = pairs.normalized_distance
-        if not distance.size:
+        rho = pairs.normalized_distance
+        if not rho.size:
             return math.inf, np.zeros(n)
-        at = np.unravel_index(int(distance.argmin()), distance.shape)
-        smallest = float(distance[at])
+        at = np.unravel_index(int(rho.argmin()), rho.shape)
+        smallest = float(rho[at])
         gradient, _ = clearance_gradients(
             ellipsoids, pairs, (np.array([at[0]]), np.array([at[1]])),
             Links(points, points, arm.joint_screws, np.tril(np.ones((len(points), n)))))
