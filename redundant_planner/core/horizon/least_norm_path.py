@@ -11,7 +11,7 @@ import numpy.typing as npt
 from redundant_planner.core.horizon.poses_ahead import error_to, Poses
 from redundant_planner.core.kernels import compiled, entry, Matrix, Stack, Vector
 from redundant_planner.core.redundancy import null_space
-from redundant_planner.core.robot.kinematics import Chain, fill, new_kinematics_compiled
+from redundant_planner.core.robot.kinematics import Chain, fill_tip, new_kinematics_compiled
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 
@@ -40,8 +40,7 @@ def least_norm_path(robot: Robot, q: Array, poses: Poses, joints: PathJoints) ->
     One step is taken towards each pose, which need not reach it to the last digit.
     """
     nodes = np.empty((len(poses.position), len(q)))
-    for i in range(len(nodes)):
-        due = Pose(poses.position[i], poses.rotation[i])
+    for i, due in enumerate(map(Pose, poses.position, poses.rotation)):
         q = nodes[i] = _least_norm_step(q, due, *robot.joint_frames.at(q), robot.chain, joints)
     return nodes
 
@@ -95,8 +94,8 @@ def _least_norm_step(
         chain: the arm.
         joints: see there.
     """
-    arm = new_kinematics_compiled(q, len(chain.rows), len(chain.capsule_joint))
-    fill(screws, rotations, positions, chain, arm)
+    arm = new_kinematics_compiled(q, len(chain.rows), 0)
+    fill_tip(screws, rotations, positions, chain, arm)
     error = error_to(due, Pose(arm.tip_position, arm.tip_rotation), chain.rows, chain.in_tool)
     orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * joints.scaling)
     step = joints.scaling * step_to_pose(orthogonal, upper, error)

@@ -121,7 +121,7 @@ class Evasion:
         Args:
             arm: its posture.
             ellipsoids: the obstacles, larger by the clearance margin and by the way that those
-                that move make in `obstacle_lead`.
+                that move make in `clearance.lead`.
             previous: (n,) velocity of the last tick [rad/s, m/s].
             leaving: whether the arm is leaving its path already.
             dt: [s].

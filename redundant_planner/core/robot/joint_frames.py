@@ -25,7 +25,8 @@ class JointFrames:
         self._model, self._data = model, model.createData()
         # Pinocchio shows the J of a single joint as a vector.
         self._screws: Array = self._data.J.T.reshape(-1, 6)
-        self._placements = _placement_views(self._data)
+        placements = _placement_views(self._data)
+        self._views = None if placements is None else (self._screws, *placements)
 
     def at(self, q: Array) -> tuple[Array, Array, Array]:
         """Return the joints' screws and placements at a posture (n,), which is not checked.
@@ -38,8 +39,9 @@ class JointFrames:
             frame.
         """
         pin.computeJointJacobians(self._model, self._data, q)
-        rotations, positions = self._placements or _placement_copies(self._data)
-        return self._screws, rotations, positions
+        if self._views is not None:
+            return self._views
+        return (self._screws, *_placement_copies(self._data))
 
 
 def _placement_views(data: pin.Data) -> tuple[Array, Array] | None:

@@ -100,9 +100,20 @@ new_kinematics_compiled = kernel(new_kinematics)
 
 
 @kernel
-def _fill_jacobians(screws: Matrix, chain: Chain, arm: Kinematics) -> None:
-    """Write the joint screws and the Jacobians of an arm whose tip pose is known."""
-    x, y, z = arm.tip_position
+def fill_tip(
+    screws: Matrix, rotations: Stack, positions: Matrix, chain: Chain, arm: Kinematics,
+) -> None:
+    """Write the tip's pose, the joint screws and the Jacobians of an arm, see `fill`."""
+    joint, position, rotation = chain.tip_joint, arm.tip_position, arm.tip_rotation
+    for axis in range(3):
+        position[axis] = positions[joint, axis]
+        for k in range(3):
+            position[axis] += rotations[joint, axis, k] * chain.tip_from_joint[k]
+            rotation[axis, k] = 0.0
+            for other in range(3):
+                rotation[axis, k] += (
+                    rotations[joint, axis, other] * chain.tip_in_joint[other, k])
+    x, y, z = position
     tip_jacobian, jacobian, rows = arm.tip_jacobian, arm.jacobian, chain.rows
     for j in range(len(screws)):
         v1, v2, v3, w1, w2, w3 = screws[j]
@@ -118,7 +129,7 @@ def _fill_jacobians(screws: Matrix, chain: Chain, arm: Kinematics) -> None:
                 part, axis = 3 * (rows[i] // 3), rows[i] % 3
                 jacobian[i, j] = 0.0
                 for k in range(3):
-                    jacobian[i, j] += arm.tip_rotation[k, axis] * tip_jacobian[part + k, j]
+                    jacobian[i, j] += rotation[k, axis] * tip_jacobian[part + k, j]
 
 
 @kernel
@@ -132,16 +143,7 @@ def fill(
         chain: the arm.
         arm: what is written.
     """
-    joint, position, rotation = chain.tip_joint, arm.tip_position, arm.tip_rotation
-    for axis in range(3):
-        position[axis] = positions[joint, axis]
-        for k in range(3):
-            position[axis] += rotations[joint, axis, k] * chain.tip_from_joint[k]
-            rotation[axis, k] = 0.0
-            for other in range(3):
-                rotation[axis, k] += (
-                    rotations[joint, axis, other] * chain.tip_in_joint[other, k])
-    _fill_jacobians(screws, chain, arm)
+    fill_tip(screws, rotations, positions, chain, arm)
     start, end = arm.segment_start, arm.segment_end
     for capsule in range(len(chain.capsule_joint)):
         joint, ends = chain.capsule_joint[capsule], chain.capsule_ends[capsule]
@@ -156,7 +158,7 @@ def fill(
 def fill_kinematics(
     screws: Matrix, rotations: Stack, positions: Matrix, chain: Chain, arm: Kinematics,
 ) -> None:
-    """Do what `fill` does, for Python: handing arrays over is quicker than taking them back."""
+    """Do what `fill` does, for Python, which hands arrays over sooner than it takes them back."""
     fill(screws, rotations, positions, chain, arm)
 
 

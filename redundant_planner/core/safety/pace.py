@@ -19,7 +19,8 @@ class Pace(NamedTuple):
 
     Attributes:
         fastest: (n,) the fastest the joints may move [rad/s, m/s].
-        link_speeds: (c,) the fastest any point of a link may then move, Σ |q̇_j| lever_j [m/s].
+        link_speeds: (c,) the fastest any point of a link may then move, Σ |q̇_j| b_j [m/s], with
+            the lever arm bounds b.
         rate: share of a clearance that may be used up per second [1/s].
     """
 

@@ -13,7 +13,7 @@ def test_views_and_copies_show_the_same(robot, monkeypatch):
     views = JointFrames(robot.model)
     monkeypatch.setattr(joint_frames, '_placement_views', lambda data: None)
     copies = JointFrames(robot.model)
-    assert views._placements is not None and copies._placements is None
+    assert views._views is not None and copies._views is None
     for q in random_postures(robot, 5):
         for seen, copied in zip(views.at(q), copies.at(q)):
             np.testing.assert_array_equal(seen, copied)
