@@ -29,8 +29,9 @@ from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 from benchmark.fuzz.tally import Tally
-from redundant_planner.analysis.bag_analysis import analyse, Analysis
+from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.report import page_of, write_figures
+from redundant_planner.analysis.results import Analysis
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner

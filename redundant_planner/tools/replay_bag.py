@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import track
 import yaml
 
-from redundant_planner.analysis.bag_analysis import COMMAND_TIMEOUT, robot_of_bag
+from redundant_planner.analysis.robot_of_bag import robot_of_bag
 from redundant_planner.core.errors import ParameterError, PlannerError, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters
@@ -27,7 +27,11 @@ from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import read_parameter_file, settings_of
 from redundant_planner.io.preview_reader import read_preview
 from redundant_planner.io.printable import printable
-from redundant_planner.io.recorded_configuration import number_of, recorded_obstacles
+from redundant_planner.io.recorded_configuration import (
+    COMMAND_TIMEOUT,
+    number_of,
+    recorded_obstacles,
+)
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.io.recording import (
     as_it_is,
