@@ -18,7 +18,10 @@ from redundant_planner.analysis.robot_of_bag import robot_of_bag
 from redundant_planner.analysis.smallest_clearance import SmallestClearance
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.bag_files import RecordingError
+from redundant_planner.io.bag_reader import Bag, Event, open_bag
+from redundant_planner.io.bag_storage import RecordingError
+from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk, JointsMissingError
+from redundant_planner.io.left_out import LeftOut
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import (
@@ -26,18 +29,7 @@ from redundant_planner.io.recorded_configuration import (
     number_of,
     recorded_obstacles,
 )
-from redundant_planner.io.recording import (
-    as_it_is,
-    Bag,
-    ChosenJoints,
-    Event,
-    GAP,
-    JointChunk,
-    JointsMissingError,
-    LeftOut,
-    open_bag,
-    sound_twist,
-)
+from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
 
 Array = npt.NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.bag_reader import Bag, Event
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.recorded_configuration import configuration_of
-from redundant_planner.io.recording import Bag, Event
 from redundant_planner.io.resources import resolve
 from redundant_planner.io.robot_files import build_robot, likely_tip, load_robot, robot_of_values
 

@@ -21,8 +21,10 @@ from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.safety.limits import braked
-from redundant_planner.io.bag_files import RecordingError
+from redundant_planner.io.bag_reader import Bag, Event, open_bag
+from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
+from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk, LARGEST
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import read_parameter_file, settings_of
 from redundant_planner.io.preview_reader import read_preview
@@ -32,18 +34,8 @@ from redundant_planner.io.recorded_configuration import (
     number_of,
     recorded_obstacles,
 )
+from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
-from redundant_planner.io.recording import (
-    as_it_is,
-    Bag,
-    ChosenJoints,
-    Event,
-    GAP,
-    JointChunk,
-    LARGEST,
-    open_bag,
-    sound_twist,
-)
 from redundant_planner.paper.method import planner_of
 
 Array = npt.NDArray[np.float64]
