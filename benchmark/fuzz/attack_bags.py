@@ -29,15 +29,17 @@ from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 from benchmark.fuzz.tally import Tally
-from redundant_planner.analysis.bag_analysis import analyse, Analysis
+from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.report import page_of, write_figures
+from redundant_planner.analysis.results import Analysis
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.io.bag_files import repair
+from redundant_planner.io.bag_reader import open_bag
+from redundant_planner.io.bag_repair import repair
 from redundant_planner.io.parameter_files import read_robot_parameters, settings_of
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
-from redundant_planner.io.recording import open_bag, read_recording
+from redundant_planner.io.recording import read_recording
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot, parameter_file_text
 from redundant_planner.io.scenario import load_scenario

@@ -17,6 +17,9 @@ from redundant_planner.core.robot.se3 import integrate, Pose
 
 Array = npt.NDArray[np.float64]
 
+# A measure below this is round-off, of which nothing can be a share.
+_NOTHING = 1e-9
+
 
 def displacement(positions: Array) -> Array:
     """Return |q_end − q_start| of every joint, (n,): the paper's Table 1 against its start."""
@@ -36,6 +39,14 @@ def effort(velocities: Array, times: Array) -> float:
         times: (k,) [s].
     """
     return float((np.square(velocities[:-1]).sum(axis=1) * np.diff(times)).sum())
+
+
+def reduction(base: npt.ArrayLike, improved: npt.ArrayLike) -> Array:
+    """Return by how much a measure became smaller [%], NaN where there was nothing."""
+    base = np.asarray(base, dtype=float)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.where(np.abs(base) > _NOTHING,
+                        100.0 * (base - np.asarray(improved, dtype=float)) / base, np.nan)
 
 
 class Clearance(NamedTuple):

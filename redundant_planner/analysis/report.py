@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from plotly.offline import get_plotlyjs
 
-from redundant_planner.analysis.bag_analysis import Analysis, scene_at
 from redundant_planner.analysis.figures import capsule_surface, joint_curves, motion_picture
+from redundant_planner.analysis.results import Analysis, scene_at
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.tools.analyze_bag import as_text, motion_measures, reductions

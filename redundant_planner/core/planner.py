@@ -23,7 +23,7 @@ from redundant_planner.core.obstacles.nearby import Surroundings
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
-from redundant_planner.core.redundancy.reference import followed_pose, Start
+from redundant_planner.core.redundancy.reference import followed_pose, Start, Task
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import slowed_limits
@@ -39,7 +39,7 @@ _ABSURD = 1e100
 # A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
 _STANDSTILL = 1e-12
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
-_MANY_DISTANCES = 3000
+_MANY_DISTANCES = 7500
 
 
 class _LastTick(NamedTuple):
@@ -180,10 +180,8 @@ class Planner:
             reason = self._reason(result, desired, around, commanded, dt)
         fallbacks += self._fallbacks_of_filter(result, desired)
 
-        # Remember: the followed part of the path; neither the feedback nor what was yielded.
-        followed = result.scale * task.commanded + result.residual * last.followed
-        if not self._filtered:
-            followed = arm.jacobian @ desired.dq + task.turning - task.feedback
+        # Remember: where the tip should be, and how fast the arm is.
+        followed = self._followed(result, task, arm.jacobian)
         self._last = _LastTick(
             result.dq, followed_pose(task.reference, followed, self._constants.rows,
                                      self._constants.in_tool, dt),
@@ -265,6 +263,14 @@ class Planner:
         return safe_velocity(
             request, limits, desired.barriers, weights=self._weights, gain=p.clearance_gain,
             may_yield=desired.intruded and p.path_priority == 'yield', dt=start.dt)
+
+    def _followed(self, result: Filtered, task: Task, jacobian: Array) -> Array:
+        """Return the part (m,) of the path that is followed: no feedback, nothing that yielded."""
+        if not self._filtered:
+            return jacobian @ result.dq + task.turning - task.feedback
+        if result.stage is Stage.DESIRED:
+            return task.commanded
+        return result.scale * task.commanded + result.residual * self._last.followed
 
     def _reason(
         self, result: Filtered, desired: Wish, around: Surroundings, commanded: bool, dt: float,

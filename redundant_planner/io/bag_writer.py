@@ -12,7 +12,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
-from redundant_planner.io.bag_files import RecordingError
+from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.rosbags_internals import write_pending_chunk
 
 Array = npt.NDArray[np.float64]

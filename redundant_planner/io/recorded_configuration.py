@@ -16,6 +16,8 @@ from redundant_planner.io.renamed_parameters import translated
 _LONGEST = 2_000_000
 _VALUES = 200_000
 _DEPTH = 20
+# A command holds for this long if the bag does not say how long [s].
+COMMAND_TIMEOUT = 0.1
 
 
 def configuration_of(text: str, notes: list[str]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
+from redundant_planner.analysis.metrics import reduction
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.robot.jacobian import jacobian_derivative
@@ -143,12 +144,6 @@ def run(scenario: Scenario, robot: Robot, parameters: PlannerParameters) -> Run:
         effort=metrics.effort(np.vstack((dq, dq[-1:])), motion.times),
         tracking_error=float(metrics.distance_to_path(tips, line).max()),
         end_error=float(np.linalg.norm(tips[-1] - line[-1])))
-
-
-def reduction(base: npt.ArrayLike, improved: npt.ArrayLike) -> Array:
-    """Return how much smaller `improved` is than `base`, in percent."""
-    base = np.asarray(base, dtype=float)
-    return 100.0 * (base - np.asarray(improved, dtype=float)) / base
 
 
 def reductions(base: Run, improved: Run) -> dict[str, Any]:

@@ -17,7 +17,9 @@ from rich.markup import escape
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
-from redundant_planner.analysis.bag_analysis import analyse, Analysis, reduction
+from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.analysis.metrics import reduction
+from redundant_planner.analysis.results import Analysis
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.printable import printable
 

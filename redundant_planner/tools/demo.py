@@ -20,7 +20,7 @@ from redundant_planner.analysis.figures import motion_picture
 from redundant_planner.analysis.report import write_report
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.bag_files import RecordingError
+from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.recording import JointLog, read_recording, Recording
 from redundant_planner.io.resources import resolve
 from redundant_planner.io.scenario import load_scenario, Scenario

@@ -20,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from redundant_planner.core.errors import PlannerError
-from redundant_planner.io.bag_files import repair
+from redundant_planner.io.bag_repair import repair
 from redundant_planner.io.bag_writer import BagWriter, message_type_known
 from redundant_planner.io.printable import printable
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory

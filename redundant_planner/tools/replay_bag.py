@@ -15,31 +15,27 @@ from rich.console import Console
 from rich.progress import track
 import yaml
 
-from redundant_planner.analysis.bag_analysis import COMMAND_TIMEOUT, robot_of_bag
+from redundant_planner.analysis.robot_of_bag import robot_of_bag
 from redundant_planner.core.errors import ParameterError, PlannerError, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters, ros_name
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.safety.limits import braked
-from redundant_planner.io.bag_files import RecordingError
+from redundant_planner.io.bag_reader import Bag, Event, open_bag
+from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
+from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk, LARGEST
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import read_parameter_file, settings_of
 from redundant_planner.io.preview_reader import read_preview
 from redundant_planner.io.printable import printable
-from redundant_planner.io.recorded_configuration import number_of, recorded_obstacles
-from redundant_planner.io.recorded_tick import RecordedTick, TickKind
-from redundant_planner.io.recording import (
-    as_it_is,
-    Bag,
-    ChosenJoints,
-    Event,
-    GAP,
-    JointChunk,
-    LARGEST,
-    open_bag,
-    sound_twist,
+from redundant_planner.io.recorded_configuration import (
+    COMMAND_TIMEOUT,
+    number_of,
+    recorded_obstacles,
 )
+from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
+from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.paper.method import planner_of
 
 Array = npt.NDArray[np.float64]

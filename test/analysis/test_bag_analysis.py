@@ -17,10 +17,12 @@ from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 
 from redundant_planner.analysis import metrics
-from redundant_planner.analysis.bag_analysis import analyse, reduction
-from redundant_planner.io.bag_files import RecordingError, repair
+from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.analysis.metrics import reduction
+from redundant_planner.io.bag_reader import open_bag
+from redundant_planner.io.bag_repair import repair
+from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
-from redundant_planner.io.recording import open_bag
 from redundant_planner.tools.analyze_bag import main as analyze_bag
 
 

@@ -21,9 +21,12 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 
-from redundant_planner.io.bag_files import bag_files, close_mcap, RecordingError, repair
+from redundant_planner.io.bag_files import bag_files
+from redundant_planner.io.bag_reader import open_bag
+from redundant_planner.io.bag_repair import close_mcap, repair
+from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
-from redundant_planner.io.recording import JointChunk, open_bag
+from redundant_planner.io.joint_chunks import JointChunk
 from redundant_planner.tools.record_bag import main as record_bag
 
 COUNT = 60

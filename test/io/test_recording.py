@@ -11,8 +11,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
-from redundant_planner.io.recording import read_recording, RecordingError
+from redundant_planner.io.recording import read_recording
 from redundant_planner.nodes.messages import markers_of
 
 START = 1_700_000_000 * 10**9

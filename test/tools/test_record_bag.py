@@ -13,7 +13,8 @@ import pytest
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from redundant_planner.io.recording import JointChunk, open_bag
+from redundant_planner.io.bag_reader import open_bag
+from redundant_planner.io.joint_chunks import JointChunk
 from redundant_planner.tools.record_bag import main as record_bag
 
 pytestmark = LIVE

@@ -12,10 +12,11 @@ import pytest
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.parameters import PlannerParameters, ros_name
+from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.parameter_files import RobotParameters, settings_of
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
-from redundant_planner.io.recording import open_bag, read_recording
+from redundant_planner.io.recording import read_recording
 from redundant_planner.tools.replay_bag import (
     _ticks_of_topics,
     again,

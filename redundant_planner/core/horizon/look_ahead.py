@@ -18,7 +18,7 @@ from redundant_planner.core.horizon.poses_ahead import middles, node_times, pose
 from redundant_planner.core.horizon.preview import continued, TwistAhead
 from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.redundancy.reference import Start, task_of
+from redundant_planner.core.redundancy.reference import reference_of, Start
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.safety.limits import Limits
 
@@ -106,7 +106,7 @@ class LookAhead:
             twists = continued(start.command, growth, middles(times))
         else:
             twists = self._controlled * ahead(times)
-        reference = task_of(start, self._constants, self._gains).reference
+        reference = reference_of(start, self._constants, self._gains)
         poses = poses_ahead(reference, twists, times, self._robot.in_tool)
         self._velocity = horizon.advance(start.arm.q, poses, ellipsoids, elapsed)
         return self._velocity

@@ -90,6 +90,12 @@ def task_of(start: Start, constants: RobotConstants, gains: Gains) -> Task:
 
 
 @entry
+def reference_of(start: Start, constants: RobotConstants, gains: Gains) -> Pose:
+    """Return the reference pose of a tick, see `task_of`."""
+    return task_of(start, constants, gains).reference
+
+
+@entry
 def followed_pose(
     reference: Pose, followed: Vector, rows: Indices, in_tool: bool, dt: float,
 ) -> Pose:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, Matrix, Vector
+from redundant_planner.core.kernels import compiled, entry, kernel, Matrix, Vector
 
 Array = npt.NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def barrier_rate(gain: float, stop: float, dt: float) -> float:
     return min(gain, 1.0 / (_CURVATURE_RESERVE * stop / 2.0 + dt))
 
 
-@compiled
+@kernel
 def velocity_bounds(
     q: Vector, previous: Vector, limits: Limits, stop: float, dt: float,
 ) -> tuple[Array, Array, bool]:
@@ -105,6 +105,14 @@ def velocity_bounds(
             bounds[side, i] = min(max(reached, lowest), highest[side])
             kept = kept and reached >= lowest - TOLERANCE
     return -bounds[1], bounds[0], kept
+
+
+@entry
+def bounds_of_velocity(
+    q: Vector, previous: Vector, limits: Limits, stop: float, dt: float,
+) -> tuple[Array, Array, bool]:
+    """Do what `velocity_bounds` does, for Python."""
+    return velocity_bounds(q, previous, limits, stop, dt)
 
 
 @compiled

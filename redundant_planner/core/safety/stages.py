@@ -28,10 +28,10 @@ import numpy.typing as npt
 from redundant_planner.core.safety.barriers import barrier_bounds, Barriers, urgent_rows
 from redundant_planner.core.safety.limits import (
     barrier_rate,
+    bounds_of_velocity,
     Limits,
     stopping_time,
     TOLERANCE,
-    velocity_bounds,
 )
 from redundant_planner.core.safety.qp import Found, solve, StageProblem
 
@@ -152,7 +152,7 @@ def safe_velocity(
     previous = request.previous
     stop = stopping_time(previous, limits.acceleration_max)
     longer, shorter = stop + dt, max(stop - dt, 0.0)
-    lower, upper, kept = velocity_bounds(request.q, previous, limits, longer, dt)
+    lower, upper, kept = bounds_of_velocity(request.q, previous, limits, longer, dt)
     low, high = _braking_bounds(request, limits, shorter, dt)
     # The share of the present twist that proportional braking leaves; r ≤ 1 is of this.
     share = shorter / stop if stop > 0.0 else 0.0
@@ -196,6 +196,6 @@ def _braking_bounds(
     request: Request, limits: Limits, shorter: float, dt: float,
 ) -> tuple[Array, Array]:
     """Return the (lower, upper) velocities (n,) whose stopping time is no longer than asked."""
-    low, high, _ = velocity_bounds(request.q, request.previous, limits, shorter, dt)
+    low, high, _ = bounds_of_velocity(request.q, request.previous, limits, shorter, dt)
     fastest = limits.acceleration_max * shorter
     return np.minimum(np.maximum(low, -fastest), high), np.maximum(np.minimum(high, fastest), low)

@@ -11,7 +11,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety.barriers import barriers_of
-from redundant_planner.core.safety.limits import Limits, stopping_time, velocity_bounds
+from redundant_planner.core.safety.limits import bounds_of_velocity, Limits, stopping_time
 from redundant_planner.core.safety.stages import Request, safe_velocity, Stage
 
 N, DT = 7, 0.004
@@ -87,13 +87,13 @@ def test_the_arm_always_stops_before_its_limits(seed):
     assert stop > 60 * DT or np.abs(dq).max() < 1e-9
 
 
-def test_velocity_bounds_are_viable_one_joint_at_a_time():
+def test_bounds_of_velocity_are_viable_one_joint_at_a_time():
     """Full speed at the limit until the bound says otherwise, then as hard as allowed."""
     limits = Limits(np.array([[1.0], [-1.0]]), np.array([2.0]), np.array([5.0]), 0.0)
     q, dq = np.array([-0.5]), np.array([0.0])
     for _ in range(1000):
         stop = stopping_time(dq, limits.acceleration_max) + DT
-        _, upper, _ = velocity_bounds(q, dq, limits, stop, DT)
+        _, upper, _ = bounds_of_velocity(q, dq, limits, stop, DT)
         assert abs(upper[0] - dq[0]) <= 5.0 * DT + 1e-12
         dq = upper
         q = q + DT * dq
