@@ -23,7 +23,7 @@ from redundant_planner.core.obstacles.nearby import Surroundings
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
-from redundant_planner.core.redundancy.reference import followed_pose, Start, Task
+from redundant_planner.core.redundancy.reference import followed_pose, Start
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import slowed_limits
@@ -174,23 +174,21 @@ class Planner:
         # Guard: every limit and barrier, docs/safety.md.
         fallbacks = self._fallbacks_ahead(desired, around, path, commanded, dt)
         result = Filtered.untouched(desired.dq)
-        task, reason = desired.task, ''
+        reason = ''
         if self._filtered and not desired.admissible:
             result = self._filter(desired, start)
             reason = self._reason(result, desired, around, commanded, dt)
         fallbacks += self._fallbacks_of_filter(result, desired)
 
         # Remember: where the tip should be, and how fast the arm is.
-        followed = self._followed(result, task, arm.jacobian)
+        followed, reached = self._followed(result, desired, arm.jacobian, dt)
         self._last = _LastTick(
-            result.dq, followed_pose(task.reference, followed, self._constants.rows,
-                                     self._constants.in_tool, dt),
-            followed, result.stage in (Stage.YIELDING, Stage.FORCED))
+            result.dq, reached, followed, result.stage in (Stage.YIELDING, Stage.FORCED))
         return StepResult(
             result.dq.copy(), desired.least_norm, desired.homogeneous, desired.factor,
             result.scale, result.stage, '; '.join(filter(None, (*fallbacks, reason))),
             '; '.join(fallbacks), desired.clearance_index, self._nearest(desired, around),
-            desired.manipulability, pose, task.error)
+            desired.manipulability, pose, desired.task.error)
 
     @property
     def _busy(self) -> bool:
@@ -264,13 +262,22 @@ class Planner:
             request, limits, desired.barriers, weights=self._weights, gain=p.clearance_gain,
             may_yield=desired.intruded and p.path_priority == 'yield', dt=start.dt)
 
-    def _followed(self, result: Filtered, task: Task, jacobian: Array) -> Array:
-        """Return the part (m,) of the path that is followed: no feedback, nothing that yielded."""
+    def _followed(
+        self, result: Filtered, desired: Wish, jacobian: Array, dt: float,
+    ) -> tuple[Array, Pose]:
+        """Return the part (m,) of the path that is followed, and the reference pose after it.
+
+        Neither the feedback nor motion that yields is a part of it.
+        """
+        task = desired.task
         if not self._filtered:
-            return jacobian @ result.dq + task.turning - task.feedback
-        if result.stage is Stage.DESIRED:
-            return task.commanded
-        return result.scale * task.commanded + result.residual * self._last.followed
+            followed = jacobian @ result.dq + task.turning - task.feedback
+        elif result.stage is Stage.DESIRED:
+            return task.commanded, desired.reached
+        else:
+            followed = result.scale * task.commanded + result.residual * self._last.followed
+        return followed, followed_pose(
+            task.reference, followed, self._constants.rows, self._constants.in_tool, dt)
 
     def _reason(
         self, result: Filtered, desired: Wish, around: Surroundings, commanded: bool, dt: float,

@@ -19,9 +19,10 @@ from redundant_planner.core.obstacles.near_pairs import near_pairs, NearPairs
 from redundant_planner.core.obstacles.self_collision import near_links, SelfPairs
 from redundant_planner.core.redundancy import criteria, null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
-from redundant_planner.core.redundancy.reference import Start, Task, task_of
+from redundant_planner.core.redundancy.reference import pose_after, Start, Task, task_of
 from redundant_planner.core.robot.jacobian import derivative_between
 from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety import barriers as rows
 from redundant_planner.core.safety.barriers import Barriers
 from redundant_planner.core.safety.limits import Limits
@@ -68,6 +69,7 @@ class Wish(NamedTuple):
         dq: (n,) Eq. 1.
         least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
         task, barriers: see there.
+        reached: the reference pose after the tick if the whole command is followed.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
         nearest_link, nearest_obstacle, nearest_normalized_distance, nearest_distance: see
             `NearPairs`.
@@ -83,6 +85,7 @@ class Wish(NamedTuple):
     clearance_index: float
     manipulability: float
     task: Task
+    reached: Pose
     barriers: Barriers
     intruded: bool
     nearest_link: int
@@ -231,6 +234,7 @@ def wish(
             dq, arm.q, start.previous, limits, barriers, gains.clearance_gain, dt))
     return Wish(
         dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts), task,
+        pose_after(task.reference, task.commanded, constants.rows, constants.in_tool, dt),
         barriers, intruded, near.nearest_link, near.nearest_obstacle,
         near.nearest_normalized_distance, near.nearest_distance, admissible,
         _blocked(near, arm.q, least_norm, limits, gains.horizon_look_ahead), share)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.kernels import compiled, entry, Indices, Vector
+from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Vector
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.jacobian import jdot_qdot
 from redundant_planner.core.robot.kinematics import Kinematics
@@ -95,8 +95,8 @@ def reference_of(start: Start, constants: RobotConstants, gains: Gains) -> Pose:
     return task_of(start, constants, gains).reference
 
 
-@entry
-def followed_pose(
+@kernel
+def pose_after(
     reference: Pose, followed: Vector, rows: Indices, in_tool: bool, dt: float,
 ) -> Pose:
     """Return a reference pose after the part (m,) of the path that was followed.
@@ -111,3 +111,11 @@ def followed_pose(
     for i in range(len(rows)):
         twist[rows[i]] = followed[i]
     return se3.integrate(reference, twist, dt, in_tool)
+
+
+@entry
+def followed_pose(
+    reference: Pose, followed: Vector, rows: Indices, in_tool: bool, dt: float,
+) -> Pose:
+    """Do what `pose_after` does, for Python."""
+    return pose_after(reference, followed, rows, in_tool, dt)
