@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import ctypes
 from dataclasses import dataclass
 from functools import partial
@@ -210,32 +210,47 @@ def play(
             processes.start('fake_hardware_node', [scenario.robot_file], arm)
             planner = processes.start(
                 'planner_node', [scenario.robot_file, *planner_files], values)
-
-            def wait_until(done: object, patience: float, what: str) -> None:
-                deadline = time.monotonic() + patience
-                while not done():  # type: ignore[operator]
-                    processes.check()
-                    if time.monotonic() > deadline:
-                        raise LiveError(f'{what} within {patience:g} s')
-                    time.sleep(_LOOK)
-                    recorder.record()
-
-            wait_until(lambda: 'joint_command' in recorder.seen, _START_PATIENCE,
-                       'no joint_command was published')
+            _wait_until(lambda: 'joint_command' in recorder.seen, processes, recorder,
+                        _START_PATIENCE, 'no joint_command was published')
             player = processes.start(
                 'scenario_player', values={'scenario': scenario_file, 'subscribers': 2, **(
                     {'urdf': values['urdf']} if 'urdf' in values else {})})
-            wait_until(lambda: 'cmd_vel' in recorder.seen, _START_PATIENCE,
-                       'no cmd_vel was published')
+            _wait_until(lambda: 'cmd_vel' in recorder.seen, processes, recorder,
+                        _START_PATIENCE, 'no cmd_vel was published')
             begin, used = time.monotonic(), cpu_seconds(planner.pid)
-            wait_until(lambda: player.poll() is not None, scenario.duration + _START_PATIENCE,
-                       'the player did not end')
+            _wait_until(lambda: player.poll() is not None, processes, recorder,
+                        scenario.duration + _START_PATIENCE, 'the player did not end')
             share = (cpu_seconds(planner.pid) - used) / (time.monotonic() - begin)
             recorder.record()
             node.destroy_node()
     finally:
         rclpy.shutdown(context=context)
     return LiveRun(bag, share)
+
+
+def _wait_until(
+    done: Callable[[], bool], processes: Processes, recorder: _Recorder, patience: float,
+    what: str,
+) -> None:
+    """Record until something is done.
+
+    Args:
+        done: whether it is.
+        processes: must not fail meanwhile.
+        recorder: writes what comes.
+        patience: how long to wait [s].
+        what: did not happen, for the message.
+
+    Raises:
+        LiveError: a process failed, or it took too long.
+    """
+    deadline = time.monotonic() + patience
+    while not done():
+        processes.check()
+        if time.monotonic() > deadline:
+            raise LiveError(f'{what} within {patience:g} s')
+        time.sleep(_LOOK)
+        recorder.record()
 
 
 class _Recorder:
