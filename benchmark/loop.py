@@ -42,7 +42,7 @@ from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.messages import markers_of, twist_to_message
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
-from redundant_planner.tools.live_run import cpu_seconds, Processes
+from redundant_planner.tools.child_processes import cpu_seconds, Processes
 from redundant_planner.tools.reproduce_paper import panda_urdf
 
 Array = npt.NDArray[np.float64]

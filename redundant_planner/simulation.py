@@ -5,21 +5,41 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.horizon.preview import Preview
+from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.scene import Scene
-from redundant_planner.core.planner import Planner
+from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.step_result import StepResult
-from redundant_planner.paper.method import PaperPlanner
 
 Array = npt.NDArray[np.float64]
+
+
+class AnyPlanner(Protocol):
+    """A planner that can be simulated: `Planner`, or the paper's method to the letter."""
+
+    @property
+    def robot(self) -> Robot:
+        """The arm it plans for."""
+
+    @property
+    def parameters(self) -> PlannerParameters:
+        """What it was made with."""
+
+    def reset(self) -> None:
+        """Begin a motion at rest."""
+
+    def step(
+        self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
+    ) -> StepResult:
+        """Return the joint velocity for the next `dt`, as `Planner.step`."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +64,7 @@ class Motion:
 
 
 def simulate(
-    planner: Planner | PaperPlanner, start: npt.ArrayLike,
+    planner: AnyPlanner, start: npt.ArrayLike,
     twist: npt.ArrayLike | Callable[[float], npt.ArrayLike], scene: Scene, duration: float,
     dt: float, preview: Preview | None = None,
 ) -> Motion:

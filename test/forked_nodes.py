@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 
-from redundant_planner.tools.live_run import _die_with, Processes, ros_arguments
+from redundant_planner.tools.child_processes import die_with, Processes, ros_arguments
 
 FORKS = get_context('forkserver')
 FORKS.set_forkserver_preload([
@@ -82,7 +82,7 @@ class Forked:
 
 
 def _run(node: str, arguments: list[str], environment: dict[str, str], stderr: Path | None):
-    _die_with(os.getppid())
+    die_with(os.getppid())
     os.setsid()
     os.environ.clear()
     os.environ.update(environment)

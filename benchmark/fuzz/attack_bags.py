@@ -30,7 +30,10 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectory
 
 from benchmark.fuzz.tally import Tally
 from redundant_planner.analysis.bag_analysis import analyse
-from redundant_planner.analysis.report import page_of, write_figures
+from redundant_planner.analysis.measure_tables import reductions
+from redundant_planner.analysis.replay_inputs import Inputs, read_inputs, ticks_of_topics
+from redundant_planner.analysis.report import page_of
+from redundant_planner.analysis.report_figures import write_figures
 from redundant_planner.analysis.results import Analysis
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -51,15 +54,11 @@ from redundant_planner.tools.analyze_bag import (
     joint_table,
     main as analyze_bag,
     motion_table,
-    reductions,
 )
 from redundant_planner.tools.replay_bag import (
-    _ticks_of_topics,
     again,
-    Inputs,
     main as replay_bag,
     otherwise,
-    read_inputs,
     Replay,
     write_replay,
 )
@@ -276,7 +275,7 @@ def _replay(
 
 def _within_limits(inputs: Inputs, replay: Replay) -> bool:
     robot = inputs.robot
-    ticks = inputs.ticks or _ticks_of_topics(inputs)
+    ticks = inputs.ticks or ticks_of_topics(inputs)
     rate = inputs.values.get('rate', 250)
     before = np.vstack((np.zeros(robot.n), replay.velocities[:-1]))
     if not inputs.ticks:

@@ -6,6 +6,8 @@ content or with a StateError, and lengths that lie make them neither allocate no
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import numpy.typing as npt
 
@@ -67,3 +69,19 @@ def text(raw: bytes, begin: int, length: int) -> str:
         return bytes(raw[begin:begin + max(length - 1, 0)]).decode()
     except UnicodeDecodeError as error:
         raise StateError(f'a name in it is not UTF-8: {error}') from None
+
+
+def header_of(raw: bytes, order: str) -> tuple[float, str, int]:
+    """Return stamp [s] and frame of the header that a message begins with.
+
+    Returns:
+        Stamp, frame, and where in the payload the header ends.
+
+    Raises:
+        StateError: the bytes end before.
+    """
+    try:
+        seconds, nanoseconds, length = struct.unpack_from(f'{order}iII', raw, ENCAPSULATION)
+    except struct.error:
+        raise StateError('the bytes end within the header') from None
+    return seconds + nanoseconds / 1e9, text(raw, ENCAPSULATION + 12, length), 12 + length

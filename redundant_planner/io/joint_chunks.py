@@ -11,6 +11,7 @@ import numpy.typing as npt
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.joint_layout import joint_layout, JointLayout, LayoutError
 from redundant_planner.io.left_out import LeftOut
+from redundant_planner.io.plausible import LARGEST
 
 Array = npt.NDArray[np.float64]
 
@@ -20,8 +21,6 @@ _CHUNK = 4096
 _CHUNK_BYTES = 32_000_000
 # More joints than any machine has: such a message is damaged.
 _JOINTS = 256
-# A position, velocity or twist beyond this is none [rad, m; per s]: it would only overflow.
-LARGEST = 1e6
 # Joint states further apart belong to two motions: nothing was commanded between them [s].
 GAP = 1.0
 

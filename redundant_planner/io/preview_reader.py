@@ -10,9 +10,9 @@ import numpy as np
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.kernels import compiled, Indices
-from redundant_planner.io.cdr import byte_order, signed, words_and_doubles
+from redundant_planner.io.cdr import byte_order, header_of, signed, words_and_doubles
 from redundant_planner.io.joint_layout import MOST_JOINTS
-from redundant_planner.nodes.messages import FASTEST, header_of
+from redundant_planner.io.plausible import FASTEST
 
 # Points that a preview may have: 50 s at 1 kHz.
 MOST_POINTS = 50_000

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.io.bag_reader import Event
-from redundant_planner.io.joint_chunks import LARGEST
 from redundant_planner.io.left_out import LeftOut
 from redundant_planner.io.obstacle_tracker import Transform
+from redundant_planner.io.plausible import LARGEST
 
 Array = npt.NDArray[np.float64]
 

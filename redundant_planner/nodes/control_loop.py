@@ -22,10 +22,11 @@ from redundant_planner.nodes.command_output import CommandOutput
 from redundant_planner.nodes.command_pacer import CommandPacer
 from redundant_planner.nodes.guard import Guard, line_of
 from redundant_planner.nodes.joint_messages import JointReader
-from redundant_planner.nodes.last_word import ACKNOWLEDGED, LastWord, PAUSE, STOPS
+from redundant_planner.nodes.last_word import LastWord
 from redundant_planner.nodes.loop_clock import LoopClock
 from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.polled_subscription import PolledSubscription
+from redundant_planner.nodes.second_process import ACKNOWLEDGED, PAUSE, STOPS
 from redundant_planner.nodes.state_report import LoopState
 from redundant_planner.nodes.supervisor import Decision, Supervisor
 from redundant_planner.paper.method import PaperPlanner, planner_of

@@ -14,7 +14,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from redundant_planner.io.joint_layout import joint_layout, JointLayout, STAMP
-from redundant_planner.nodes.messages import LARGEST, NANOSECONDS, values_of
+from redundant_planner.io.plausible import LARGEST
+from redundant_planner.nodes.messages import NANOSECONDS, values_of
 
 Array = npt.NDArray[np.float64]
 

@@ -8,141 +8,36 @@ when the planner dies, for any reason.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-import contextlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 import gc
 import json
 import mmap
 import os
-import select
-import signal
-import struct
 import time
-from typing import NamedTuple, NoReturn
 import warnings
 
 import numpy as np
 import numpy.typing as npt
-import rclpy
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 
-from redundant_planner.core.safety.limits import braked
-from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.nodes import runtime
-from redundant_planner.nodes.command_output import CommandOutput
+from redundant_planner.nodes.command_memory import (
+    CommandMemory,
+    HAS_FAILED,
+    HAS_STARTED,
+    NUMBER,
+    OWN_LISTENERS,
+    PLANNERS_LISTENERS,
+    SIZE,
+    STATE,
+)
+from redundant_planner.nodes.second_process import Brief, END, live_as_second, PAUSE
 
 Array = npt.NDArray[np.float64]
 
-# The end of the second node's name, and its states while nothing is wrong.
-SUFFIX = '_last_word'
+# The states of the second process while nothing is wrong.
 STARTING, READY = 'starting', 'ready'
-# The stop at the end: how often it is published, the pause between two [s], and how long to wait
-# for an acknowledgement [s].
-STOPS = 3
-PAUSE = 0.01
-ACKNOWLEDGED = 0.3
-
-# A drive without a command for this long has stopped by itself. It must not move again, so the
-# second process publishes the stop alone [s].
-_STALE = 0.25
-# A listener that has not found the second node yet would miss the stop. The second node waits
-# until as many listen to it as listened to the planner, but not longer than this [s].
-_FOUND = 10.0
-# How often it counts its listeners [s].
-_LOOK = 0.5
 # How long the planner waits at its own end for the other process to leave [s].
 _LEAVING = 1.0
-
-# Shared memory: the number of commands so far, the state of the second process, the listeners of
-# the planner and of the second process, and two places for commands. The planner writes them in
-# turns: if it dies while writing one, the other is whole.
-_SIZE = 1 << 16
-_COUNT = struct.Struct('@Q')  # native, as it is then written at once
-_STATE = _COUNT.size
-_NUMBER = struct.Struct('@I')
-_PLANNERS_LISTENERS, _OWN_LISTENERS = 16, 20
-_COMMANDS = 64
-_HAS_STARTED, _HAS_FAILED = 1, 2
-_END = b'end\n'
-
-
-@dataclass(frozen=True)
-class Brief:
-    """All that the second process needs to stop the arm in the planner's place.
-
-    Attributes:
-        node, namespace: the planner's.
-        topics: name of an output → the topic that it is published on.
-        outputs: besides joint_command, as `CommandOutput` takes them.
-        joint_names: n of them.
-        position_min, position_max, acceleration_max: n each [rad, m; per s²].
-        period: between commands [s].
-        priority: real-time priority of its threads, 0 for none.
-    """
-
-    node: str
-    namespace: str
-    topics: dict[str, str]
-    outputs: Sequence[str]
-    joint_names: Sequence[str]
-    position_min: Sequence[float]
-    position_max: Sequence[float]
-    acceleration_max: Sequence[float]
-    period: float
-    priority: int
-
-
-class NotedCommand(NamedTuple):
-    """A command as the planner noted it.
-
-    Attributes:
-        time: when, by the system's monotonic clock [s].
-        stamp_ns: of its message [ns].
-        positions, velocities: (n,) [rad, m; per s].
-    """
-
-    time: float
-    stamp_ns: int
-    positions: Array
-    velocities: Array
-
-
-class CommandMemory:
-    """The latest command, in memory that two processes share."""
-
-    def __init__(self, memory: mmap.mmap) -> None:
-        """Use `_SIZE` bytes of zeros."""
-        self._memory = memory
-        self._command = struct.Struct('@dq')
-        self._n = self._count = 0
-
-    def prepare(self, n: int) -> bool:
-        """Make places for commands of n joints; return whether there is room for them."""
-        self._n, self._command = n, struct.Struct(f'@dq{2 * n}d')
-        return _COMMANDS + 2 * self._command.size <= _SIZE
-
-    def note(self, stamp_ns: int, positions: Array, velocities: Array) -> None:
-        """Write the latest command; 2 µs."""
-        self._count += 1
-        self._command.pack_into(
-            self._memory, self._place(self._count), time.monotonic(), stamp_ns,
-            *positions.tolist(), *velocities.tolist())
-        _COUNT.pack_into(self._memory, 0, self._count)
-
-    def latest(self) -> NotedCommand | None:
-        """Return the latest command; None without one."""
-        count, = _COUNT.unpack_from(self._memory, 0)
-        if not count:
-            return None
-        when, stamp_ns, *numbers = self._command.unpack_from(self._memory, self._place(count))
-        return NotedCommand(when, stamp_ns, np.array(numbers[:self._n]),
-                            np.array(numbers[self._n:]))
-
-    def _place(self, count: int) -> int:
-        return _COMMANDS + count % 2 * self._command.size
 
 
 class LastWord:
@@ -169,7 +64,7 @@ class LastWord:
         """
         runtime.keep_off_shared_memory()
         try:
-            memory = mmap.mmap(-1, _SIZE)
+            memory = mmap.mmap(-1, SIZE)
             read_end, write_end = os.pipe()
         except OSError as error:
             return cls.absent(f'no pipe or no memory to share: {error}')
@@ -186,7 +81,7 @@ class LastWord:
             os.close(write_end)
             return cls.absent(f'no second process: {error}')
         if pid == 0:
-            _second_process(read_end, memory, args)
+            live_as_second(read_end, memory, args)
         os.close(read_end)
         return cls(pid, write_end, memory)
 
@@ -212,21 +107,21 @@ class LastWord:
                 ready when as many have found it.
         """
         if not self._trouble and self._memory is not None:
-            _NUMBER.pack_into(self._memory, _PLANNERS_LISTENERS, listeners)
+            NUMBER.pack_into(self._memory, PLANNERS_LISTENERS, listeners)
             if self._has_left():
                 self._trouble = 'its process has ended'
-            elif self._memory[_STATE] == _HAS_FAILED:
+            elif self._memory[STATE] == HAS_FAILED:
                 self._trouble = 'its process could not start its node'
             else:
-                found, = _NUMBER.unpack_from(self._memory, _OWN_LISTENERS)
-                started = self._memory[_STATE] == _HAS_STARTED
+                found, = NUMBER.unpack_from(self._memory, OWN_LISTENERS)
+                started = self._memory[STATE] == HAS_STARTED
                 return READY if started and found >= listeners else STARTING
         return self._trouble
 
     def end(self) -> None:
         """End the other process without a stop, as the arm rests."""
         if self._pipe >= 0:
-            self._tell(_END)
+            self._tell(END)
             self._leave()
 
     def hand_over(self) -> None:
@@ -256,95 +151,3 @@ class LastWord:
             except ChildProcessError:
                 self._pid = 0
         return self._pid == 0
-
-
-def _second_process(pipe: int, memory: mmap.mmap, args: list[str] | None) -> NoReturn:
-    """Live as the other process, and end it."""
-    try:
-        gc.disable()  # the collector would copy each object that it looks at
-        os.setsid()
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, signal.SIG_IGN)
-        # A process that reads the planner's output waits until all copies of it are closed.
-        nothing = os.open(os.devnull, os.O_RDWR)
-        for stream in range(3):
-            os.dup2(nothing, stream)
-        for name in os.listdir('/proc/self/fd'):
-            if int(name) > 2 and int(name) != pipe:
-                with contextlib.suppress(OSError):
-                    os.close(int(name))
-        _wait_and_speak(pipe, memory, args)
-    except BaseException:
-        memory[_STATE] = _HAS_FAILED
-    finally:
-        os._exit(0)
-
-
-def _wait_and_speak(pipe: int, memory: mmap.mmap, args: list[str] | None) -> None:
-    with os.fdopen(pipe, 'rb') as lines:
-        line = lines.readline()
-        if not line.endswith(b'\n') or line == _END:
-            return
-        brief = Brief(**json.loads(line))
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        # The global arguments would rename this node as well.
-        remap = [word for name, topic in brief.topics.items()
-                 for word in ('-r', f'{name}:={topic}')]
-        node = Node(
-            brief.node + SUFFIX, namespace=brief.namespace, use_global_arguments=False,
-            cli_args=['--ros-args', *remap], start_parameter_services=False,
-            parameter_overrides=[Parameter('start_type_description_service', value=False)])
-        output = CommandOutput(node, brief.joint_names, brief.outputs, brief.period)
-        runtime.request_priority(brief.priority)
-        memory[_STATE] = _HAS_STARTED
-        while not select.select([lines], [], [], _LOOK)[0]:
-            _NUMBER.pack_into(memory, _OWN_LISTENERS, output.listeners())
-        if lines.readline() != _END:
-            commands = CommandMemory(memory)
-            commands.prepare(len(brief.joint_names))
-            last = commands.latest()
-            if last is not None and last.velocities.any():
-                speak(brief, last, output, _NUMBER.unpack_from(memory, _PLANNERS_LISTENERS)[0])
-                node.get_logger().error(
-                    f'{brief.node} died while the arm moved; it was told to stop')
-        node.destroy_node()
-        rclpy.shutdown()
-
-
-def speak(
-    brief: Brief, last: NotedCommand, output: CommandOutput, listeners: int,
-    clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep,
-) -> None:
-    """Bring an arm to rest whose last command was a motion.
-
-    Args:
-        brief: about the planner and its robot.
-        last: command that was noted.
-        output: takes the commands.
-        listeners: how many must find the output before the stop is published.
-        clock, sleep: of the system [s].
-    """
-    dq, positions = last.velocities, last.positions
-    acceleration_max = np.array(brief.acceleration_max)
-    command = PositionCommand(np.array(brief.position_min), np.array(brief.position_max), np.inf)
-    due = last.time + brief.period
-    if clock() - last.time > _STALE:
-        dq = np.zeros(len(dq))
-
-    def publish(now: float) -> None:
-        output.publish(last.stamp_ns + int(1e9 * (now - last.time)), positions, dq)
-
-    while dq.any():
-        sleep(max(due - clock(), 0.0))
-        dq = braked(dq, acceleration_max, brief.period)
-        positions = command.advance(last.positions, dq, brief.period, known=False)
-        now = clock()
-        due = now + brief.period
-        publish(now)
-    enough = clock() + _FOUND
-    while output.listeners() < listeners and clock() < enough:
-        sleep(PAUSE)
-    for _ in range(STOPS):
-        sleep(PAUSE)
-        publish(clock())
-    output.wait_until_heard(ACKNOWLEDGED)

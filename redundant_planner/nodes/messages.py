@@ -17,15 +17,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 from redundant_planner.core.errors import known, StateError
 from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.obstacles.obstacle import Obstacle
-from redundant_planner.io.cdr import byte_order, ENCAPSULATION, text
+from redundant_planner.io.cdr import byte_order, ENCAPSULATION, header_of
+from redundant_planner.io.plausible import FASTEST, LARGEST
 
 Array = npt.NDArray[np.float64]
 
 NANOSECONDS = 1_000_000_000
-# Nobody means a twist with larger entries, even if linear_speed_max would slow it [m/s, rad/s].
-FASTEST = 1e3
-# No joint measures larger positions and velocities [rad, m; per s].
-LARGEST = 1e6
 
 
 def seconds_of(stamp: Time | Duration) -> float:
@@ -63,22 +60,6 @@ def stamped_twist_from_bytes(raw: bytes) -> tuple[float, str, Array]:
     order = byte_order(raw)
     stamp, frame, end = header_of(raw, order)
     return stamp, frame, _twist_at(raw, order, ENCAPSULATION + -(-end // 8) * 8)
-
-
-def header_of(raw: bytes, order: str) -> tuple[float, str, int]:
-    """Return stamp [s] and frame of the header that a message begins with.
-
-    Returns:
-        Stamp, frame, and where in the payload the header ends.
-
-    Raises:
-        StateError: the bytes end before.
-    """
-    try:
-        seconds, nanoseconds, length = struct.unpack_from(f'{order}iII', raw, ENCAPSULATION)
-    except struct.error:
-        raise StateError('the bytes end within the header') from None
-    return seconds + nanoseconds / NANOSECONDS, text(raw, ENCAPSULATION + 12, length), 12 + length
 
 
 def _twist_at(raw: bytes, order: str, at: int) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from redundant_planner.nodes.last_word import SUFFIX
+from redundant_planner.nodes.second_process import SUFFIX
 
 
 def publishers_of(node: Node, topic: str) -> list[str]:

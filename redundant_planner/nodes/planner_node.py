@@ -29,13 +29,14 @@ from redundant_planner.nodes.command_output import CommandOutput
 from redundant_planner.nodes.command_pacer import wake_up_in_time
 from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.endable_node import EndableNode
-from redundant_planner.nodes.last_word import Brief, LastWord, READY, STARTING
+from redundant_planner.nodes.last_word import LastWord, READY, STARTING
 from redundant_planner.nodes.loop_clock import loop_clock
 from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.other_publishers import publishers_of
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.reports import Reports
 from redundant_planner.nodes.ros_parameters import on_change, STATIC_OBSTACLE
+from redundant_planner.nodes.second_process import Brief
 from redundant_planner.nodes.settings import Settings
 from redundant_planner.nodes.startup import Startup
 from redundant_planner.nodes.throttled_log import ThrottledLog

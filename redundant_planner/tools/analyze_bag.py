@@ -18,21 +18,19 @@ from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from redundant_planner.analysis.bag_analysis import analyse
-from redundant_planner.analysis.metrics import reduction
+from redundant_planner.analysis.measure_tables import (
+    as_text,
+    COMPARED,
+    MEASURES,
+    motion_measures,
+    reductions,
+)
 from redundant_planner.analysis.results import Analysis
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.printable import printable
 
-_MEASURES = {
-    'displacement': 'displacement', 'path': 'path ∫|q̇|', 'effort': '∫q̇²',
-    'initial_velocity': 'initial velocity', 'velocity_change': 'velocity change',
-    'acceleration_change': 'acceleration change', 'peak_velocity': 'peak velocity',
-    'peak_acceleration': 'peak acceleration'}
 # A narrower terminal wraps lines rather than cut numbers off.
 _WIDTH = 140
-# Those that Table 1 and the text of the paper compare.
-_COMPARED = ('displacement', 'path', 'effort', 'initial_velocity', 'velocity_change',
-             'acceleration_change')
 
 
 def joint_table(analysis: Analysis) -> Table:
@@ -40,11 +38,11 @@ def joint_table(analysis: Analysis) -> Table:
     table = Table(title=f"'{analysis.name}': {analysis.end - analysis.begin:.2f} s, "
                         f'{analysis.samples} joint states')
     table.add_column('joint')
-    for label in _MEASURES.values():
+    for label in MEASURES.values():
         table.add_column(label, justify='right')
     robot = analysis.robot
     for i, name in enumerate(analysis.joint_names):
-        cells = [f'{getattr(analysis.joints, key)[i]:.5g}' for key in _MEASURES]
+        cells = [f'{getattr(analysis.joints, key)[i]:.5g}' for key in MEASURES]
         if robot is not None:  # peaks against limits
             cells[-2] += f' / {robot.velocity_max[i]:.3g}'
             cells[-1] += f' / {robot.acceleration_max[i]:.3g}'
@@ -64,41 +62,6 @@ def motion_table(analyses: list[Analysis]) -> Table:
     return table
 
 
-def as_text(value: Any) -> str:
-    """Return a measure as it stands in a table."""
-    if value is None:
-        return '–'
-    return f'{value:.5g}' if isinstance(value, float) else printable(str(value))
-
-
-def motion_measures(analysis: Analysis) -> dict[str, Any]:
-    """Return the measures of a whole motion; None for what the bag does not tell."""
-    curves, periods = analysis.curves, analysis.periods
-
-    def known(values: Any, statistic: Any) -> float | None:
-        finite = values[np.isfinite(values)]
-        return float(statistic(finite)) if len(finite) else None
-
-    tips = curves.tips[np.isfinite(curves.tips).all(axis=1)]
-    clearance = analysis.clearance
-    return {
-        'joint_path': float(analysis.joints.path.sum()),
-        'effort': float(analysis.joints.effort.sum()),
-        'tool_path_m': (float(np.linalg.norm(np.diff(tips, axis=0), axis=1).sum())
-                        if len(tips) > 1 else None),
-        'largest_path_error_mm': known(1e3 * curves.path_error, np.max),
-        'smallest_clearance_level': clearance.level if clearance else None,
-        'smallest_distance_mm': 1e3 * analysis.distance if clearance else None,
-        'nearest_pair': f'{clearance.link} to {clearance.obstacle}' if clearance else None,
-        'twist_scale_mean': known(curves.scale, np.mean),
-        'factor_k_mean': (float(analysis.factor[:, 1].mean()) if len(analysis.factor)
-                          else None),
-        'command_period_median_ms': 1e3 * periods.median if periods else None,
-        'command_period_p99_ms': 1e3 * periods.p99 if periods else None,
-        'command_period_longest_ms': 1e3 * periods.longest if periods else None,
-    }
-
-
 def comparison_table(base: Analysis, improved: Analysis) -> Table:
     """Return by how much every measure of every joint became smaller, as in Table 1.
 
@@ -110,24 +73,12 @@ def comparison_table(base: Analysis, improved: Analysis) -> Table:
                            f'{list(base.joint_names)}, {list(improved.joint_names)}')
     table = Table(title=f"reductions (%) of '{improved.name}' against '{base.name}'")
     table.add_column('joint')
-    for key in _COMPARED:
-        table.add_column(_MEASURES[key], justify='right')
+    for key in COMPARED:
+        table.add_column(MEASURES[key], justify='right')
     for name, row in reductions(base, improved).items():
         table.add_row(name, *('–' if np.isnan(row[key]) else f'{row[key]:.1f}'
-                              for key in _COMPARED))
+                              for key in COMPARED))
     return table
-
-
-def reductions(base: Analysis, improved: Analysis) -> dict[str, dict[str, float]]:
-    """Return joint → measure → reduction [%]; 'all joints' has those of the sums."""
-    order = [improved.joint_names.index(name) for name in base.joint_names]
-    values = {key: (getattr(base.joints, key), getattr(improved.joints, key)[order])
-              for key in _COMPARED}
-    rows = {name: {key: float(reduction(*pair)[i]) for key, pair in values.items()}
-            for i, name in enumerate(base.joint_names)}
-    rows['all joints'] = {key: float(reduction(np.array(pair[0].sum()), np.array(pair[1].sum())))
-                          for key, pair in values.items()}
-    return rows
 
 
 def as_json(analysis: Analysis) -> dict[str, Any]:

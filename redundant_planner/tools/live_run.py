@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-import ctypes
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from operator import itemgetter
 import os
 from pathlib import Path
-import signal
-import subprocess
-import sys
 import time
-from types import TracebackType
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
@@ -26,11 +20,11 @@ from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.scenario import Scenario
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.runtime import keep_off_shared_memory
+from redundant_planner.tools.child_processes import cpu_seconds, LiveError, Processes
 
 _TOPICS = {
     'joint_states': (JointState, 'sensor_msgs/msg/JointState'),
@@ -45,119 +39,10 @@ _TOPICS = {
     'diagnostics': (DiagnosticArray, 'diagnostic_msgs/msg/DiagnosticArray'),
 }
 _LATCHED = ('robot_description', 'planner_node/configuration', 'planner_node/ticks')
-_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
-# How long processes get to start, on a busy machine too, and to end [s].
+# How long processes get to start, on a busy machine too [s].
 _START_PATIENCE = 120.0
-_END_PATIENCE = 3.0
 # How often what has come is recorded [s].
 _LOOK = 0.02
-
-
-class LiveError(PlannerError):
-    """A process ended, or did not do its part in time."""
-
-
-class Processes:
-    """Nodes of this package as child processes; none outlives the `with` block.
-
-    Attributes:
-        environment: of the children: their own ROS domain, on this machine only.
-    """
-
-    def __init__(self, domain_id: int) -> None:
-        """Prepare for processes on a ROS domain."""
-        self.environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_id),
-                                ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
-        self._children: dict[str, subprocess.Popen[bytes]] = {}
-
-    def __enter__(self) -> Processes:
-        """Return itself; processes are started one by one."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End every child, and kill what does not react.
-
-        SIGTERM and not SIGINT: a child still importing dies of it without a word.
-        """
-        for child in self._children.values():
-            if child.poll() is None:
-                child.terminate()
-        deadline = time.monotonic() + _END_PATIENCE
-        for child in self._children.values():
-            try:
-                child.wait(max(deadline - time.monotonic(), 0.01))
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.wait()
-
-    def start(
-        self, node: str | Path, files: Sequence[Path] = (),
-        values: Mapping[str, object] | None = None, remap: Mapping[str, str] | None = None,
-        name: str = '',
-    ) -> subprocess.Popen[bytes]:
-        """Start a node of this package.
-
-        Args:
-            node: 'planner_node', 'fake_hardware_node' or 'scenario_player', or a script that
-                takes the same arguments.
-            files: parameter files.
-            values: single parameters, which win over the files.
-            remap: names to remap.
-            name: what to call it where several of the same kind run.
-        """
-        program = ([str(node)] if isinstance(node, Path)
-                   else ['-m', f'redundant_planner.nodes.{node}'])
-        command = [sys.executable, *program, *ros_arguments(files, values, remap)]
-        # A session of its own, so that Ctrl-C reaches us alone and the end is in our order;
-        # and a death signal, so that nothing stays behind even if we are killed.
-        child = subprocess.Popen(command, env=self.environment, start_new_session=True,
-                                 preexec_fn=partial(_die_with, os.getpid()))
-        self._children[name or f'{node} {len(self._children)}'] = child
-        return child
-
-    def check(self) -> None:
-        """Raise a LiveError if a child has ended with an error."""
-        for node, child in self._children.items():
-            if child.poll() not in (None, 0):
-                raise LiveError(f'{node} ended with exit status {child.returncode}')
-
-
-def ros_arguments(
-    files: Sequence[Path] = (), values: Mapping[str, object] | None = None,
-    remap: Mapping[str, str] | None = None,
-) -> list[str]:
-    """Return a node's command line after its executable; arguments as in `Processes.start`."""
-    arguments = ['--ros-args']
-    for file in files:
-        arguments += ['--params-file', str(file)]
-    for key, value in (values or {}).items():
-        arguments += ['-p', f'{key}:={_yaml(value)}']
-    for key, target in (remap or {}).items():
-        arguments += ['-r', f'{key}:={target}']
-    return arguments
-
-
-def _yaml(value: object) -> str:
-    if isinstance(value, (list, tuple)):
-        return '[' + ', '.join(_yaml(item) for item in value) + ']'
-    if isinstance(value, bool):
-        return str(value).lower()
-    return str(value)
-
-
-def _die_with(parent: int) -> None:
-    ctypes.CDLL(None).prctl(_DEATH_SIGNAL, signal.SIGKILL)
-    if os.getppid() != parent:  # it died before it could be asked for the signal
-        os._exit(1)
-
-
-def cpu_seconds(pid: int) -> float:
-    """Return the processor time a process has used [s]."""
-    fields = Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
 
 @dataclass(frozen=True)
@@ -210,32 +95,47 @@ def play(
             processes.start('fake_hardware_node', [scenario.robot_file], arm)
             planner = processes.start(
                 'planner_node', [scenario.robot_file, *planner_files], values)
-
-            def wait_until(done: object, patience: float, what: str) -> None:
-                deadline = time.monotonic() + patience
-                while not done():  # type: ignore[operator]
-                    processes.check()
-                    if time.monotonic() > deadline:
-                        raise LiveError(f'{what} within {patience:g} s')
-                    time.sleep(_LOOK)
-                    recorder.record()
-
-            wait_until(lambda: 'joint_command' in recorder.seen, _START_PATIENCE,
-                       'no joint_command was published')
+            _wait_until(lambda: 'joint_command' in recorder.seen, processes, recorder,
+                        _START_PATIENCE, 'no joint_command was published')
             player = processes.start(
                 'scenario_player', values={'scenario': scenario_file, 'subscribers': 2, **(
                     {'urdf': values['urdf']} if 'urdf' in values else {})})
-            wait_until(lambda: 'cmd_vel' in recorder.seen, _START_PATIENCE,
-                       'no cmd_vel was published')
+            _wait_until(lambda: 'cmd_vel' in recorder.seen, processes, recorder,
+                        _START_PATIENCE, 'no cmd_vel was published')
             begin, used = time.monotonic(), cpu_seconds(planner.pid)
-            wait_until(lambda: player.poll() is not None, scenario.duration + _START_PATIENCE,
-                       'the player did not end')
+            _wait_until(lambda: player.poll() is not None, processes, recorder,
+                        scenario.duration + _START_PATIENCE, 'the player did not end')
             share = (cpu_seconds(planner.pid) - used) / (time.monotonic() - begin)
             recorder.record()
             node.destroy_node()
     finally:
         rclpy.shutdown(context=context)
     return LiveRun(bag, share)
+
+
+def _wait_until(
+    done: Callable[[], bool], processes: Processes, recorder: _Recorder, patience: float,
+    what: str,
+) -> None:
+    """Record until something is done.
+
+    Args:
+        done: whether it is.
+        processes: must not fail meanwhile.
+        recorder: writes what comes.
+        patience: how long to wait [s].
+        what: did not happen, for the message.
+
+    Raises:
+        LiveError: a process failed, or it took too long.
+    """
+    deadline = time.monotonic() + patience
+    while not done():
+        processes.check()
+        if time.monotonic() > deadline:
+            raise LiveError(f'{what} within {patience:g} s')
+        time.sleep(_LOOK)
+        recorder.record()
 
 
 class _Recorder:

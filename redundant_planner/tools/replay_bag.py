@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 import sys
 from typing import Any
@@ -15,159 +15,23 @@ from rich.console import Console
 from rich.progress import track
 import yaml
 
-from redundant_planner.analysis.robot_of_bag import robot_of_bag
-from redundant_planner.core.errors import ParameterError, PlannerError, StateError
-from redundant_planner.core.horizon.preview import Preview, TwistAhead
+from redundant_planner.analysis.replay_inputs import Inputs, rate_of, read_inputs, ticks_of_topics
+from redundant_planner.core.errors import ParameterError, PlannerError
+from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters, ros_name
-from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.safety.limits import braked
-from redundant_planner.io.bag_reader import Bag, Event, open_bag
+from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
-from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk, LARGEST
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import read_parameter_file, settings_of
-from redundant_planner.io.preview_reader import read_preview
 from redundant_planner.io.printable import printable
-from redundant_planner.io.recorded_configuration import (
-    COMMAND_TIMEOUT,
-    number_of,
-    recorded_obstacles,
-)
-from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
+from redundant_planner.io.recorded_configuration import recorded_obstacles
+from redundant_planner.io.recorded_inputs import as_it_is
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.paper.method import planner_of
 
 Array = npt.NDArray[np.float64]
-
-_RATE = 250
-_FASTEST_RATE = 1000
-# A stamp that is further from the time of its recording is of another clock [s].
-_SAME_CLOCK = 60.0
-
-
-@dataclass
-class Inputs:
-    """What a planner was given; times in seconds from the bag's first message.
-
-    Attributes:
-        robot: the arm.
-        values: the parameters it ran with, as far as they were recorded.
-        parts: of the joint states, with pauses between them: begin and end [s], and the first
-            joint state (n,) [rad, m].
-        ticks: every tick's inputs, if they were recorded, and the times of their recording.
-        twists: times and cmd_vel.
-        obstacles: times and serialised MarkerArrays.
-        previews: arrival times, beginnings by their stamps, and what was announced.
-        commands: joint_command, stamp [ns] → velocities (n,) [rad/s, m/s].
-        raw: times and messages that go into the new bag as they are, by topic.
-    """
-
-    robot: Robot
-    values: dict[str, Any]
-    parts: list[tuple[float, float, Array]] = field(default_factory=list)
-    ticks: list[tuple[float, RecordedTick]] = field(default_factory=list)
-    twists: list[tuple[float, Array]] = field(default_factory=list)
-    obstacles: list[tuple[float, bytes]] = field(default_factory=list)
-    previews: list[tuple[float, float, Preview]] = field(default_factory=list)
-    commands: dict[int, Array] = field(default_factory=dict)
-    raw: list[tuple[str, float, bytes]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-
-def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
-    """Read what a planner was given.
-
-    Raises:
-        PlannerError: the bag lacks a robot or joint states.
-    """
-    notes: list[str] = []
-    robot, values = robot_of_bag(bag, params, urdf, tip, notes)
-    if robot is None:
-        raise RecordingError(f"'{bag.path}': {'; '.join(notes)}")
-    inputs = Inputs(robot, values, notes=notes)
-    joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out)
-              for topic in ('joint_states', 'joint_command')}
-    for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', 'obstacles',
-                          'cmd_vel_preview', 'robot_description'), order=()):
-        if isinstance(item, JointChunk):
-            chosen = joints[item.topic].of(item)
-            if chosen is None:
-                continue
-            if item.topic == 'joint_command':
-                stamps = np.round(chosen.stamps * 1e9).astype(np.int64) + bag.origin_ns
-                inputs.commands.update(zip(stamps.tolist(), chosen.velocities))
-            else:
-                _extend(inputs.parts, chosen)
-        elif item.topic == 'ticks':
-            try:
-                inputs.ticks.append((item.arrival, _tick(item, robot)))
-            except StateError as error:
-                bag.left_out.add('ticks', str(error))
-        elif item.topic == 'cmd_vel':
-            twist = sound_twist(item, bag.left_out)
-            if twist is not None:
-                inputs.twists.append((item.arrival, twist))
-        elif item.topic == 'cmd_vel_preview':
-            preview = _preview(item)
-            if preview is not None:
-                inputs.previews.append((item.arrival, _begin(item, bag.origin_ns), preview))
-        else:
-            if item.topic == 'obstacles':
-                inputs.obstacles.append((item.arrival, item.raw))
-            inputs.raw.append((item.topic, item.arrival, item.raw))
-    if not inputs.parts:
-        joints['joint_states'].check_found()
-        raise RecordingError('; '.join((
-            f"'{bag.path}' holds no messages on joint_states", *bag.problems)))
-    if len(inputs.parts) > 1:
-        inputs.notes.append(
-            f'joint_states pauses {len(inputs.parts) - 1} times for more than {GAP:g} s; nothing '
-            'is commanded there')
-    inputs.notes += [printable(problem) for problem in bag.problems]
-    return inputs
-
-
-def _extend(parts: list[tuple[float, float, Array]], chunk: JointChunk) -> None:
-    """Add joint states to the last part, or begin another one after a pause."""
-    times = chunk.arrivals
-    begins = [0, *(np.flatnonzero(np.diff(times) > GAP) + 1).tolist()]
-    for begin, after in zip(begins, (*begins[1:], len(times))):
-        first, last = float(times[begin]), float(times[after - 1])
-        if parts and first - parts[-1][1] <= GAP:
-            parts[-1] = (parts[-1][0], max(parts[-1][1], last), parts[-1][2])
-        else:
-            parts.append((first, last, chunk.positions[begin]))
-
-
-def _tick(item: Event, robot: Robot) -> RecordedTick:
-    """Return a recorded tick.
-
-    Raises:
-        StateError: it is none of this robot.
-    """
-    tick = RecordedTick.of(item.message.data)
-    if len(tick.q) != robot.n:
-        raise StateError(f'a recorded tick has {len(tick.q)} joint positions; the robot has '
-                         f'{robot.n} joints')
-    if not (np.abs(np.concatenate((tick.q, tick.twist))) <= LARGEST).all():
-        raise StateError(f'a recorded tick has a posture or twist beyond {LARGEST:g}')
-    return tick
-
-
-def _preview(item: Event) -> Preview | None:
-    """Return what was announced; None where the node refused it, and did not count it."""
-    try:
-        return read_preview(bytes(item.raw))[1]
-    except StateError:
-        return None
-
-
-def _begin(item: Event, origin_ns: int) -> float:
-    """Return when a preview begins: at its stamp, or on receipt if that is of another clock."""
-    stamp = item.message.header.stamp
-    begin = (stamp.sec * 10**9 + stamp.nanosec - origin_ns) * 1e-9
-    return float(begin) if abs(begin - item.arrival) < _SAME_CLOCK else item.arrival
 
 
 @dataclass(frozen=True)
@@ -210,42 +74,8 @@ def otherwise(inputs: Inputs, parameters: PlannerParameters) -> Replay:
     """Run the planner and an ideal arm from the first joint state on, on the recorded commands."""
     ticks = inputs.ticks
     if not ticks:
-        ticks = _ticks_of_topics(inputs)
+        ticks = ticks_of_topics(inputs)
     return _rows(inputs, parameters, ticks, measured=False)
-
-
-def _ticks_of_topics(inputs: Inputs) -> list[tuple[float, RecordedTick]]:
-    """Make up ticks at the planner's rate from what arrived when."""
-    rate = _rate(inputs.values)
-    timeout = number_of(inputs.values, 'incoming_command_timeout', COMMAND_TIMEOUT, 10.0)
-    ticks: list[tuple[float, RecordedTick]] = []
-    for begin, end, start in inputs.parts:
-        times = begin + np.arange(round((end - begin) * rate)) / rate
-        ticks += _ticks_at(inputs, times, start, timeout)
-    return ticks
-
-
-def _rate(values: dict[str, Any]) -> int:
-    return max(int(number_of(values, 'rate', _RATE, _FASTEST_RATE)), 1)
-
-
-def _ticks_at(
-    inputs: Inputs, times: Array, start: Array, timeout: float,
-) -> list[tuple[float, RecordedTick]]:
-    """Make up the ticks of a part, whose first joint state is `start`."""
-    arrivals = [np.array([entry[0] for entry in listed]) for listed in (
-        inputs.twists, inputs.obstacles, inputs.previews)]
-    latest, known, announced = (np.searchsorted(a, times, side='right') for a in arrivals)
-    ticks = []
-    kind, still = TickKind.STARTING, np.zeros(6)
-    for time, twist, scene, preview in zip(times, latest, known, announced):
-        fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
-        elapsed = time - inputs.previews[preview - 1][1] if preview and fresh else np.nan
-        ticks.append((float(time), RecordedTick(
-            0, float(time), kind, int(scene), int(preview), float(elapsed),
-            inputs.twists[twist - 1][1] if fresh else still, start)))
-        kind = TickKind.GOING_ON
-    return ticks
 
 
 def _rows(
@@ -266,7 +96,7 @@ def _rows(
     book = ObstacleTracker(
         recorded_obstacles(values, inputs.notes), (), transform=as_it_is,
         estimate_velocity=values.get('estimate_obstacle_velocity') is True)
-    dt = 1.0 / _rate(values)
+    dt = 1.0 / rate_of(values)
     q: Array = ticks[0][1].q
     dq: Array = np.zeros(robot.n)
     # Ticks that are made up start again after every pause, where the arm was then.

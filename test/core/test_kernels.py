@@ -177,6 +177,6 @@ def test_compile_knows_every_module_with_compiled_functions():
     loaded = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                             check=True).stdout.split()
     for file in package.rglob('*.py'):
-        if any(line in ('@compiled', '@entry', '@kernel') for line in file.read_text().splitlines()):
+        if {'@compiled', '@entry', '@kernel'} & set(file.read_text().splitlines()):
             parts = file.relative_to(package).with_suffix('').parts
             assert '.'.join(('redundant_planner', *parts)) in loaded

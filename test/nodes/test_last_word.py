@@ -9,8 +9,8 @@ from hypothesis import given, strategies as st
 import numpy as np
 import pytest
 
-from redundant_planner.nodes import last_word
-from redundant_planner.nodes.last_word import Brief, CommandMemory, NotedCommand, speak
+from redundant_planner.nodes.command_memory import CommandMemory, NotedCommand
+from redundant_planner.nodes.second_process import Brief, speak, STOPS
 
 PERIOD, LIMITS = 0.004, np.array([2.0, 5.0, 0.5])
 BRIEF = Brief('planner_node', '/', {}, (), ('a', 'b', 'c'), (-1.0,) * 3, (1.0,) * 3,
@@ -49,7 +49,7 @@ def test_it_brakes_within_the_limits_and_ends_in_a_stop(velocities, late):
     heard = spoken(velocities, late=late)
     times = np.array([10.0, *(now for now, *_ in heard)])
     commanded = np.array([velocities, *(dq for *_, dq in heard)])
-    assert not commanded[-last_word.STOPS:].any()
+    assert not commanded[-STOPS:].any()
     assert (np.diff(times)[1:] >= 0.999 * PERIOD).all() and times[1] - 10.0 >= 0.999 * PERIOD
     assert (np.abs(np.diff(commanded, axis=0)) <= LIMITS * PERIOD * (1.0 + 1e-9)).all()
     np.testing.assert_allclose([stamp / 1e9 for _, stamp, *_ in heard], times[1:] - 5.0)

@@ -23,8 +23,8 @@ from redundant_planner.io.recording import read_recording
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes.messages import markers_of
+from redundant_planner.tools.child_processes import Processes
 from redundant_planner.tools.demo import summarise
-from redundant_planner.tools.live_run import Processes
 
 pytestmark = LIVE
 PAPER = share_directory() / 'config' / 'scenarios' / 'paper.yaml'

@@ -16,12 +16,12 @@ from rclpy.node import Node
 from redundant_planner.core.errors import ParameterError
 from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_of
 from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.nodes.disputed_parameters import disputed
 from redundant_planner.nodes.ros_parameters import (
     changed,
     changed_entries,
     checked_entry,
     declare,
-    disputed,
     FakeHardwareParameters,
     parameter_page,
     PlannerNodeParameters,

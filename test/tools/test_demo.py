@@ -14,8 +14,8 @@ import time
 from live_helpers import LIVE, PATIENCE
 import pytest
 
+from redundant_planner.tools.child_processes import die_with
 from redundant_planner.tools.demo import main
-from redundant_planner.tools.live_run import _die_with
 
 pytestmark = LIVE
 COMMAND = [sys.executable, '-m', 'redundant_planner.tools.demo']
@@ -80,7 +80,7 @@ def test_interrupted_it_leaves_no_process_behind(tmp_path):
 def test_a_child_whose_parent_died_before_it_was_set_up_ends_at_once():
     gone = subprocess.Popen(['true'])
     gone.wait()
-    child = subprocess.Popen(['sleep', '60'], preexec_fn=partial(_die_with, gone.pid))
+    child = subprocess.Popen(['sleep', '60'], preexec_fn=partial(die_with, gone.pid))
     assert child.wait(timeout=PATIENCE) != 0
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.analysis.replay_inputs import read_inputs, ticks_of_topics
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.parameters import PlannerParameters, ros_name
 from redundant_planner.io.bag_reader import open_bag
@@ -17,14 +18,7 @@ from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.parameter_files import RobotParameters, settings_of
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.io.recording import read_recording
-from redundant_planner.tools.replay_bag import (
-    _ticks_of_topics,
-    again,
-    differences,
-    main as replay_bag,
-    otherwise,
-    read_inputs,
-)
+from redundant_planner.tools.replay_bag import again, differences, main as replay_bag, otherwise
 
 
 @pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
@@ -50,7 +44,7 @@ def test_ticks_made_up_take_a_preview_from_its_stamp_on(paper_runs):
         inputs = read_inputs(opened, None, '', '')
     recorded, made_up = ([time - tick.preview_elapsed for time, tick in ticks
                           if tick.preview_elapsed > 0.0]
-                         for ticks in (inputs.ticks, _ticks_of_topics(inputs)))
+                         for ticks in (inputs.ticks, ticks_of_topics(inputs)))
     arrival, begin, _ = inputs.previews[0]
     assert begin > arrival + 0.5
     np.testing.assert_allclose(made_up, np.median(recorded), atol=0.02)

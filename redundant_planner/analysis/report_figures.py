@@ -1,0 +1,52 @@
+"""The figures beside a report, for a paper or a presentation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.analysis.figures import joint_curves, motion_picture
+from redundant_planner.analysis.report_view import nearest_obstacles
+from redundant_planner.analysis.results import Analysis, Curves, scene_at
+
+# Samples of a curve: what a screen can show.
+_CURVE = 1500
+# Obstacles drawn in a picture: the nearest ones.
+_PICTURED = 200
+# Joints in a figure.
+_DIAGRAMS = 32
+
+
+def write_figures(
+    folder: Path, analysis: Analysis, suffixes: tuple[str, ...] = ('png', 'svg'),
+) -> None:
+    """Write the figures of an analysis to a folder."""
+    curves = analysis.curves
+    chosen = drawn_samples(curves)
+    times = curves.times[chosen] - curves.times[0]
+    names, title = analysis.joint_names[:_DIAGRAMS], f"'{analysis.name}'"
+    if len(names) < len(analysis.joint_names):
+        title += f': the first {len(names)} of {len(analysis.joint_names)} joints'
+    for suffix in suffixes:
+        for kind, label, values in (
+                ('displacement', 'displacement [rad, m]', curves.positions - curves.positions[0]),
+                ('velocity', 'velocity [rad/s, m/s]', curves.velocities),
+                ('acceleration', 'acceleration [rad/s², m/s²]', curves.accelerations)):
+            joint_curves(folder / f'{analysis.name}_{kind}.{suffix}', names, label,
+                         {analysis.name: ('-', times, values[chosen])}, title)
+        if analysis.robot is not None:
+            scene = scene_at(curves, float(curves.times[-1]))
+            corners = np.vstack([analysis.robot.joint_points(q) for q in curves.positions[chosen]])
+            obstacles = scene.obstacles()
+            motion_picture(
+                folder / f'{analysis.name}_motion.{suffix}', analysis.robot, times,
+                curves.positions[chosen], curves.velocities[chosen],
+                [obstacles[i] for i in nearest_obstacles(scene, corners, _PICTURED)],
+                f"'{analysis.name}'")
+
+
+def drawn_samples(curves: Curves) -> npt.NDArray[np.intp]:
+    """Return which samples of the curves are drawn, (k,)."""
+    return np.unique(np.linspace(0, len(curves.times) - 1, _CURVE).astype(int))

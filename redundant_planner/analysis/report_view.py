@@ -1,0 +1,100 @@
+"""The arm and its obstacles over time, as grids of points for the report's 3-D view."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.analysis.figures import capsule_surface
+from redundant_planner.analysis.results import Analysis, scene_at
+from redundant_planner.core.obstacles.scene import Scene
+
+Array = npt.NDArray[np.float64]
+
+# Postures of the 3-D view: what a screen can show.
+_POSTURES = 240
+_RIBS, _SIDES = 6, 11  # grid of a link
+_BALL_RIBS, _BALL_SIDES = 10, 19  # of an obstacle
+# Obstacles drawn in all postures together: the nearest ones.
+_GRIDS = 6000
+# How far around the arm obstacles are drawn, and how large one may be, in sizes of its motion.
+_AROUND, _LARGE = 1.5, 1000.0
+
+
+def view_of(analysis: Analysis) -> dict[str, Any]:
+    """Return the arm at some postures as grids of points, and its obstacles."""
+    robot, curves = analysis.robot, analysis.curves
+    assert robot is not None
+    chosen = np.linspace(0, len(curves.times) - 1, view_count(analysis)).astype(int)
+    arms = robot.kinematics_along(curves.positions[chosen])
+    radii = [max(capsule.radius, 0.005) for capsule in robot.capsules]
+    surfaces = np.array([
+        [capsule_surface(start, end, radius, _RIBS, _SIDES).reshape(-1, 3)
+         for start, end, radius in zip(starts, ends, radii)]
+        for starts, ends in zip(arms.segment_start, arms.segment_end)])
+    chains = np.array([np.vstack((np.zeros(3), robot.joint_points(q)))
+                       for q in curves.positions[chosen]])
+    scenes = [scene_at(curves, float(time)) for time in curves.times[chosen]]
+    corners = chains.reshape(-1, 3)
+    most = _GRIDS // len({id(scene) for scene in scenes})
+    near = {id(scene): nearest_obstacles(scene, corners, most) for scene in scenes}
+    width = max(len(rows) for rows in near.values())
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    edges = _AROUND * (high - low).max()
+    drawn: dict[str, int] = {}
+    which: list[int] = []
+    extents = [corners]
+    for scene in scenes:
+        rows = near[id(scene)]
+        # As many in every scene: those that are missing are points at the origin.
+        grids = np.zeros((width, _BALL_RIBS * _BALL_SIDES, 3))
+        grids[:len(rows)] = _ellipsoids(scene, rows)
+        packed = packed_numbers(grids)
+        if packed not in drawn:
+            drawn[packed] = len(drawn)
+            extents.append(np.clip(grids[:len(rows)].reshape(-1, 3), low - edges, high + edges))
+        which.append(drawn[packed])
+    extent = np.vstack(extents)
+    middle = 0.5 * (extent.min(axis=0) + extent.max(axis=0))
+    half = 0.5 * float((extent.max(axis=0) - extent.min(axis=0)).max()) + 0.05
+    return {
+        'times': np.round(curves.times[chosen] - curves.times[0], 4).tolist(),
+        'vertices': packed_numbers(surfaces), 'capsules': len(radii), 'grid': [_RIBS, _SIDES],
+        'ball': [_BALL_RIBS, _BALL_SIDES],
+        'chain': packed_numbers(chains), 'tips': packed_numbers(arms.tip_position),
+        'obstacles': list(drawn),
+        'hidden': max(len(scene.names) - len(near[id(scene)]) for scene in scenes),
+        'scene': which, 'range': [[float(m - half), float(m + half)] for m in middle]}
+
+
+def view_count(analysis: Analysis) -> int:
+    """Return the number of postures in the view."""
+    return min(_POSTURES, len(analysis.curves.times))
+
+
+def packed_numbers(values: npt.ArrayLike) -> str:
+    """Return numbers as the page's script reads them."""
+    return base64.b64encode(np.asarray(values, dtype='<f4').tobytes()).decode()
+
+
+def nearest_obstacles(scene: Scene, corners: Array, most: int) -> npt.NDArray[np.intp]:
+    """Return which obstacles are drawn around an arm's points (k, 3): the nearest ones."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    extent = float((high - low).max()) + 1e-3
+    sizes = scene.semi_axes.max(axis=1, initial=0.0)
+    with np.errstate(over='ignore'):
+        outside = np.maximum(np.maximum(low - scene.centers, scene.centers - high), 0.0)
+        away = np.linalg.norm(outside, axis=1) - sizes
+    candidates = np.flatnonzero((away < _AROUND * extent) & (sizes < _LARGE * extent))
+    return np.sort(candidates[np.argsort(away[candidates], kind='stable')[:most]])
+
+
+def _ellipsoids(scene: Scene, rows: npt.NDArray[np.intp]) -> Array:
+    """Return grids of points like that of `capsule_surface` on obstacles, (k, u v, 3)."""
+    ball = capsule_surface(
+        np.zeros(3), np.zeros(3), 1.0, _BALL_RIBS, _BALL_SIDES).reshape(-1, 3)
+    scaled = ball * scene.semi_axes[rows, None]
+    return scaled @ scene.rotations[rows].transpose(0, 2, 1) + scene.centers[rows, None]
