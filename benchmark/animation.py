@@ -25,8 +25,10 @@ from PIL import Image
 from benchmark.generator import DURATION, Task
 from benchmark.scenarios import DT, make_robot
 from redundant_planner.analysis.figures import capsule_surface
-from redundant_planner.core.obstacles.clearance import inflated_ellipsoids, link_clearance, Scene
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.redundancy import null_space
@@ -93,7 +95,7 @@ def depths(robot: Robot, obstacles: Sequence[Obstacle], q: Array) -> Array:
     radii = np.array([capsule.radius for capsule in robot.capsules])
     pairs = link_clearance(
         inflated_ellipsoids(Scene.of(obstacles), radii), arm.segment_start, arm.segment_end)
-    return pairs.clearance.min(axis=1)
+    return pairs.normalized_distance.min(axis=1)
 
 
 def arm_surfaces(robot: Robot, obstacles: Sequence[Obstacle], q: Array) -> list[Surface]:

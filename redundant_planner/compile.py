@@ -9,7 +9,9 @@ earlier step.
 
 from __future__ import annotations
 
+import contextlib
 from importlib import import_module
+import io
 import multiprocessing
 import time
 
@@ -49,9 +51,10 @@ def main() -> int:
 
 
 def _compile(lane: tuple[str, ...]) -> None:
-    """Compile modules in a process of its own, where errors are printed."""
-    for module in lane:
-        import_module(f'redundant_planner.{module}')
+    """Compile modules in a process of its own; `main` has already said that it takes a while."""
+    with contextlib.redirect_stderr(io.StringIO()):
+        for module in lane:
+            import_module(f'redundant_planner.{module}')
 
 
 if __name__ == '__main__':
