@@ -1,6 +1,6 @@
 """The paper's method to the letter: Eqs. 1, 2, 3, 7 and 18, nothing else.
 
-No limits, no safety filter, no damping, no feedback, no smoothing; Eq. 7 over the joints alone.
+No joint limits, no safety filter, no damping, no feedback, no smoothing; Eq. 7 over the joints alone.
 The arm runs into limits and obstacles: this is for simulations and comparisons. The one departure
 is H_f, whose printed Eq. 17 has no effect (docs/paper.md): here it is ½‖J⁺ẋ‖² with its exact
 gradient.
@@ -40,7 +40,8 @@ class PaperPlanner:
     """The paper's method for one robot, with the calls of `Planner`.
 
     Of the parameters it takes `method` ('paper' for Eq. 2's factor, 'paper_gradient_projection'
-    for a fixed one), criteria.k_alpha, k_fixed, k_w, k_s and k_f. The others do not act.
+    for a fixed one), criteria.k_alpha, k_fixed, k_w, k_s and k_f. It also slows a command to
+    limits.linear_speed and limits.angular_speed. The others do not act.
     """
 
     def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
