@@ -1,8 +1,8 @@
 """The paper's method to the letter: Eqs. 1, 2, 3, 7 and 18, nothing else.
 
-No joint limits, no safety filter, no damping, no feedback, no smoothing; Eq. 7 over the joints alone.
-The arm runs into limits and obstacles: this is for simulations and comparisons. The one departure
-is H_f, whose printed Eq. 17 has no effect (docs/paper.md): here it is ½‖J⁺ẋ‖² with its exact
+No joint limits, no safety filter, no damping, no feedback, no smoothing; Eq. 7 over the joints
+alone. The arm runs into limits and obstacles: this is for simulations and comparisons. The one
+departure is H_f, whose printed Eq. 17 has no effect (docs/paper.md): here it is ½‖J⁺ẋ‖² with its exact
 gradient.
 """
 
