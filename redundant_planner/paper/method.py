@@ -2,8 +2,8 @@
 
 No joint limits, no safety filter, no damping, no feedback, no smoothing; Eq. 7 over the joints
 alone. The arm runs into limits and obstacles: this is for simulations and comparisons. The one
-departure is H_f, whose printed Eq. 17 has no effect (docs/paper.md): here it is ½‖J⁺ẋ‖² with its exact
-gradient.
+departure is H_f, whose printed Eq. 17 has no effect (docs/paper.md): here it is ½‖J⁺ẋ‖² with
+its exact gradient.
 """
 
 from __future__ import annotations
