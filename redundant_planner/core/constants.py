@@ -17,10 +17,10 @@ Array = npt.NDArray[np.float64]
 
 
 class RobotConstants(NamedTuple):
-    """The robot, with its margins and joint weights.
+    """The robot, with its margins and joint weights; what its joints may do is in `Limits`.
 
     Attributes:
-        position_min, position_max, velocity_max, acceleration_max: (n,) see `Robot`.
+        position_min, position_max: (n,) see `Robot`.
         scaling: (n,) 1 / square root of the joint weights.
         lever_arm_bounds, supports: (c, n) see `Robot`.
         radii, self_pairs, self_supports, self_lever_arm_bounds: the fields of `SelfPairs`; without
@@ -31,8 +31,6 @@ class RobotConstants(NamedTuple):
 
     position_min: Vector
     position_max: Vector
-    velocity_max: Vector
-    acceleration_max: Vector
     scaling: Vector
     lever_arm_bounds: Matrix
     supports: Matrix
@@ -113,7 +111,6 @@ def robot_constants(robot: Robot, parameters: PlannerParameters) -> RobotConstan
     radii = np.array([capsule.radius for capsule in robot.capsules])
     return RobotConstants(
         np.array(robot.position_min), np.array(robot.position_max),
-        np.array(robot.velocity_max), np.array(robot.acceleration_max),
         1.0 / np.sqrt(joint_weights(robot, parameters)), np.array(robot.lever_arm_bounds),
         np.array(robot.supports), radii + self_margin / 2.0, np.array(pairs), supports,
         np.abs(supports) * robot.lever_arm_bounds[pairs].max(axis=1), np.array(robot.rows),

@@ -19,6 +19,7 @@ from contextlib import contextmanager
 import copy
 import functools
 import inspect
+import itertools
 from pathlib import Path
 import sys
 import textwrap
@@ -74,30 +75,34 @@ def kernel(function: _Function) -> _Function:
 def entry(function: _Function) -> _Function:
     """Compile a function, as `compiled`, that only Python calls, in every tick.
 
-    Numba takes a plain tuple over from Python in half the time that a NamedTuple needs. All
-    NamedTuples therefore cross over as plain tuples; both sides only see NamedTuples. These may
-    be arguments, the result, and fields of either.
+    Numba takes arrays and numbers over from Python in half the time that NamedTuples of them
+    need. All NamedTuples are therefore taken apart on the one side and put together on the
+    other. They may be arguments, the result, and fields of either.
     """
     if numba.config.DISABLE_JIT:
         return function
     records = {name: _record(str(annotation), function.__globals__)
                for name, annotation in function.__annotations__.items()}
     result = records.pop('return', None)
-    inner = _compile(_unpacking(function, records, result),
-                     tuple(map(_plain_type, _argument_types(function))), {})
-    handed = ', '.join(_packed(name, record) for name, record in records.items())
-    returned = 'found' if result is None else _unpacked('found', result)
-    scope: dict[str, Any] = {'inner': inner, **_classes(result)}
-    exec(f'def call({", ".join(records)}):\n    found = inner({handed})\n    return {returned}',
+    inner = _compile(
+        _taking_fields(function, records, result),
+        tuple(itertools.chain(*map(_field_types, _argument_types(function)))), {})
+    handed = ', '.join(_handed(name, record) for name, record in records.items())
+    returned, made = 'found', 'found'
+    if result is not None:
+        returned = '(' + ''.join(f'{name}, ' for name, _ in _leaves('found', result)) + ')'
+        made = _made('found', result, 'new({name}, ({fields},))')
+    scope: dict[str, Any] = {'inner': inner, 'new': tuple.__new__, **_classes(result)}
+    exec(f'def call({", ".join(records)}):\n    {returned} = inner({handed})\n    return {made}',
          scope)
     return cast(_Function, functools.wraps(function)(scope['call']))
 
 
-def _plain_type(kind: types.Type) -> types.Type:
-    """Return the type of a plain tuple for that of a NamedTuple."""
+def _field_types(kind: types.Type) -> list[types.Type]:
+    """Return the types of a NamedTuple's fields, those of NamedTuples within it among them."""
     if not isinstance(kind, types.BaseNamedTuple):
-        return kind
-    return types.Tuple(tuple(map(_plain_type, kind.types)))
+        return [kind]
+    return list(itertools.chain(*map(_field_types, kind.types)))
 
 
 def _record(annotation: str, scope: dict[str, Any]) -> Any:
@@ -122,33 +127,39 @@ def _classes(record: Any) -> dict[str, Any]:
         {record.__name__: record})
 
 
-def _packed(value: str, record: Any) -> str:
-    """Return the expression that makes plain tuples of a NamedTuple and of those within it."""
+def _leaves(name: str, record: Any) -> list[tuple[str, str]]:
+    """Return a variable's name, and an expression, for every array and number in a NamedTuple."""
+    if record is None:
+        return [(name.replace('.', '_'), name)]
+    return list(itertools.chain(*(
+        _leaves(f'{name}.{field}', inner) for field, inner in _fields_of(record).items())))
+
+
+def _handed(value: str, record: Any) -> str:
+    """Return the arguments that a NamedTuple is taken apart to."""
     if record is None:
         return value
     fields = _fields_of(record)
     if not any(fields.values()):
-        return f'{value}[:]'
-    return '(' + ''.join(
-        f'{_packed(f"{value}.{name}", inner)}, ' for name, inner in fields.items()) + ')'
+        return f'*{value}'
+    return ', '.join(_handed(f'{value}.{name}', inner) for name, inner in fields.items())
 
 
-def _unpacked(value: str, record: Any) -> str:
-    """Return the expression that makes a NamedTuple of the tuples that `_packed` made."""
-    fields = _fields_of(record)
-    if not any(fields.values()):
-        return f'{record.__name__}(*{value})'
-    parts = ', '.join(
-        _unpacked(f'{value}[{i}]', inner) if inner else f'{value}[{i}]'
-        for i, inner in enumerate(fields.values()))
-    return f'{record.__name__}({parts})'
+def _made(name: str, record: Any, pattern: str) -> str:
+    """Return the expression that makes a NamedTuple of the variables of `_leaves`."""
+    if record is None:
+        return name
+    fields = ', '.join(
+        _made(f'{name}_{field}', inner, pattern) for field, inner in _fields_of(record).items())
+    return pattern.format(name=record.__name__, fields=fields)
 
 
-def _unpacking(function: Any, records: dict[str, Any], result: Any) -> Any:
-    """Return a function that takes plain tuples for its records, and returns plain tuples.
+def _taking_fields(function: Any, records: dict[str, Any], result: Any) -> Any:
+    """Return a function that takes and returns the fields of NamedTuples one by one.
 
-    Its source gets the lines `arm = Kinematics(*arm)` that would otherwise stand in every such
-    function. It keeps its file and its line numbers: debuggers and Numba's cache go by them.
+    Its source gets the lines `arm = Kinematics(arm_q, ...)` that would otherwise stand in every
+    such function. It keeps its file and its line numbers: debuggers and Numba's cache go by
+    them.
     """
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     definition = tree.body[0]
@@ -156,9 +167,12 @@ def _unpacking(function: Any, records: dict[str, Any], result: Any) -> Any:
     definition.decorator_list = []
     if result is not None:
         definition = _PlainReturns(result).visit(definition)
-    unpack = [f'{name} = {_unpacked(name, record)}' for name, record in records.items() if record]
+    definition.args.args = [
+        ast.arg(leaf) for name, record in records.items() for leaf, _ in _leaves(name, record)]
+    lines = [f'{name} = {_made(name, record, "{name}({fields})")}'
+             for name, record in records.items() if record]
     first = 0 if ast.get_docstring(definition) is None else 1
-    definition.body[first:first] = ast.parse('\n'.join(unpack)).body
+    definition.body[first:first] = ast.parse('\n'.join(lines)).body
     ast.fix_missing_locations(tree)
     ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
     scope: dict[str, Any] = {}
@@ -170,10 +184,11 @@ def _unpacking(function: Any, records: dict[str, Any], result: Any) -> Any:
 
 
 class _PlainReturns(ast.NodeTransformer):
-    """Makes `return x` return the plain tuple of a NamedTuple x."""
+    """Makes `return x` return the fields of a NamedTuple x."""
 
     def __init__(self, record: Any) -> None:
-        self._plain = ast.parse(f'returned = 0\nreturn {_packed("returned", record)}').body
+        leaves = ''.join(f'{value}, ' for _, value in _leaves('returned', record))
+        self._plain = ast.parse(f'returned = 0\nreturn ({leaves})').body
 
     def visit_Return(self, node: ast.Return) -> list[ast.stmt]:
         assert node.value is not None

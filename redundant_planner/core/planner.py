@@ -106,7 +106,8 @@ class Planner:
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
         self._evasion = Evasion(robot, parameters)
-        self._watch = ObstacleWatch(robot, parameters, self._constants, self._gains)
+        self._watch = ObstacleWatch(
+            robot, parameters, self._limits, self._constants, self._gains)
 
     def _never_measured(self) -> Memory:
         return Memory(np.full(self.robot.n, np.nan), np.empty(len(self._constants.self_pairs)))
@@ -162,8 +163,7 @@ class Planner:
         # Aim: out of the course of what moves, and along the joint path ahead.
         start = Start(arm, last.reference or pose, command, last.dq, dt)
         turn = self._turn(start, around)
-        twists = ahead.between if isinstance(ahead, Preview) else ahead
-        path = self._look_ahead.velocity(start, around.ahead, twists, self._busy)
+        path = self._look_ahead.velocity(start, around.ahead, ahead, self._busy)
 
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(
@@ -172,13 +172,12 @@ class Planner:
         desired = wish(start, world, self._links, self._constants, self._limits, self._gains)
 
         # Guard: every limit and barrier, docs/safety.md.
-        fallbacks = self._fallbacks_ahead(desired, around, path, commanded, dt)
-        result = Filtered.untouched(desired.dq)
-        reason = ''
+        crowded = self._switch(desired, around, commanded, dt)
+        result, reason = Filtered.untouched(desired.dq), ''
         if self._filtered and not desired.admissible:
             result = self._filter(desired, start)
             reason = self._reason(result, desired, around, commanded, dt)
-        fallbacks += self._fallbacks_of_filter(result, desired)
+        fallbacks = self._fallbacks(result, desired, path is None, crowded)
 
         # Remember: where the tip should be, and how fast the arm is.
         followed, reached = self._followed(result, desired, arm.jacobian, dt)
@@ -186,7 +185,7 @@ class Planner:
             result.dq, reached, followed, result.stage in (Stage.YIELDING, Stage.FORCED))
         return StepResult(
             result.dq.copy(), desired.least_norm, desired.homogeneous, desired.factor,
-            result.scale, result.stage, '; '.join(filter(None, (*fallbacks, reason))),
+            result.scale, result.stage, '; '.join([*fallbacks, reason] if reason else fallbacks),
             '; '.join(fallbacks), desired.clearance_index, self._nearest(desired, around),
             desired.manipulability, pose, desired.task.error)
 
@@ -201,15 +200,16 @@ class Planner:
         And whether there is any.
         """
         command = np.array(twist, dtype=float)
-        if command.shape != (6,) or not all(map(math.isfinite, command.tolist())):
-            raise StateError(f'twist is {command.tolist()}; it takes six finite numbers '
-                             '[m/s, rad/s]')
-        if not (math.isfinite(dt) and dt > 0.0):
+        p, largest = self._parameters, math.nan
+        if command.shape == (6,):
+            largest = _limit_speed(
+                command, self._controlled, p.limits_linear_speed, p.limits_angular_speed)
+        if math.isnan(largest):
+            raise StateError(f'twist is {np.asarray(twist).tolist()}; it takes six finite '
+                             'numbers [m/s, rad/s]')
+        if not 0.0 < dt < math.inf:
             raise StateError(f'dt is {dt}; it must be positive [s]')
-        p = self._parameters
-        commanded = _limit_speed(
-            command, self._controlled, p.limits_linear_speed, p.limits_angular_speed)
-        return command, commanded
+        return command, largest > 0.0
 
     def _turn(self, start: Start, around: Surroundings) -> Turn:
         """Return the turn of the first joints out of the course of what moves."""
@@ -221,26 +221,33 @@ class Planner:
         return self._evasion.turn(
             start.arm, around.ahead, start.previous, self._last.leaving, start.dt)
 
-    def _fallbacks_ahead(
-        self, desired: Wish, around: Surroundings, path: Array | None, commanded: bool,
-        dt: float,
-    ) -> list[str]:
-        """Switch to the joint path ahead, or back; say where it is missing."""
-        method, fallbacks = self._parameters.method, []
-        if method == 'variational' and path is None:
-            fallbacks.append('no joint path ahead was found: dynamic_factor steps in')
-        if method == 'dynamic_factor' and self._filtered:
-            blocked = (commanded or self._watch.fastest > 0.0) and desired.blocked
-            crowded = len(around.near) > MOST_OBSTACLES
-            if blocked and crowded:
-                fallbacks.append(
-                    f'no joint path is planned among more than {MOST_OBSTACLES} obstacles')
-            self._look_ahead.switch(blocked and not crowded, dt)
-        return fallbacks
+    def _switch(
+        self, desired: Wish, around: Surroundings, commanded: bool, dt: float,
+    ) -> bool:
+        """Have dynamic_factor follow the joint path ahead while it is blocked itself.
 
-    def _fallbacks_of_filter(self, result: Filtered, desired: Wish) -> list[str]:
-        """Say which bounds on a tick's work the filter reached."""
-        fallbacks = [f'out of iterations where {stage.value}' for stage in result.cut_short]
+        Returns:
+            Whether it would have to, but among too many obstacles for a path to be planned.
+        """
+        if self._parameters.method != 'dynamic_factor' or not self._filtered:
+            return False
+        blocked = desired.blocked and (commanded or self._watch.fastest > 0.0)
+        crowded = blocked and len(around.near) > MOST_OBSTACLES
+        self._look_ahead.switch(blocked and not crowded, dt)
+        return crowded
+
+    def _fallbacks(
+        self, result: Filtered, desired: Wish, pathless: bool, crowded: bool,
+    ) -> list[str]:
+        """Say where there is no joint path ahead, and which bounds on its work a tick reached."""
+        fallbacks = []
+        if pathless and self._parameters.method == 'variational':
+            fallbacks.append('no joint path ahead was found: dynamic_factor steps in')
+        if crowded:
+            fallbacks.append(
+                f'no joint path is planned among more than {MOST_OBSTACLES} obstacles')
+        for stage in result.cut_short:
+            fallbacks.append(f'out of iterations where {stage.value}')
         if self._filtered and desired.unseen_share < 1.0:
             fallbacks.append('slower among more obstacles than a tick takes in: '
                              f'{math.floor(100.0 * desired.unseen_share)}% of the speed')
@@ -301,22 +308,29 @@ class Planner:
 @compiled
 def _limit_speed(
     command: OutVector, controlled: Vector, linear_max: float, angular_max: float,
-) -> bool:
-    """Take a twist's uncontrolled part away and slow it down to the limits; is any left?"""
+) -> float:
+    """Take a twist's uncontrolled part away and slow it down to the limits.
+
+    Returns:
+        The largest entry of its controlled part before; NaN if any entry is not finite.
+    """
     largest = 0.0
     for i in range(6):
+        if not math.isfinite(command[i]):
+            return np.nan
         command[i] *= controlled[i]
         largest = max(largest, abs(command[i]))
     if largest == 0.0:
-        return False
+        return largest
     # The norm of an absurd twist would overflow.
     scale = largest if largest > _ABSURD else 1.0
     excess = 1.0 / scale
     for part in range(2):
-        x, y, z = command[3 * part:3 * part + 3] / scale
+        first = 3 * part
+        x, y, z = command[first] / scale, command[first + 1] / scale, command[first + 2] / scale
         # A limit of 0 lets nothing pass.
         limit = max(angular_max if part else linear_max, _STANDSTILL)
         excess = max(excess, math.sqrt(x * x + y * y + z * z) / limit)
     for i in range(6):
         command[i] = command[i] / scale / excess
-    return True
+    return largest

@@ -24,7 +24,12 @@ from redundant_planner.core.robot.jacobian import derivative_between
 from redundant_planner.core.robot.kinematics import Links
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety import barriers as rows
-from redundant_planner.core.safety.barriers import Barriers
+from redundant_planner.core.safety.barriers import (
+    Barriers,
+    barriers_in,
+    barriers_in_compiled,
+    Rows,
+)
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.pace import pace, unseen_distances, unseen_share
 
@@ -68,8 +73,9 @@ class Wish(NamedTuple):
     Attributes:
         dq: (n,) Eq. 1.
         least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
-        task, barriers: see there.
+        task: what the tip shall do.
         reached: the reference pose after the tick if the whole command is followed.
+        rows, rows_used: the barriers, in the first of these rows.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
         nearest_link, nearest_obstacle, nearest_normalized_distance, nearest_distance: see
             `NearPairs`.
@@ -86,7 +92,8 @@ class Wish(NamedTuple):
     manipulability: float
     task: Task
     reached: Pose
-    barriers: Barriers
+    rows: Rows
+    rows_used: int
     intruded: bool
     nearest_link: int
     nearest_obstacle: int
@@ -95,6 +102,11 @@ class Wish(NamedTuple):
     admissible: bool
     blocked: bool
     unseen_share: float
+
+    @property
+    def barriers(self) -> Barriers:
+        """What must not be used up in the tick."""
+        return barriers_in(self.rows, self.rows_used)
 
 
 class LeastNorm(NamedTuple):
@@ -184,12 +196,13 @@ def wish(
     parts = null_space.decompose(arm.jacobian * scaling)
     inverse = null_space.inverse_gains(
         parts.singular_values, gains.singularity_damping_threshold, gains.singularity_damping)
-    twist = task.commanded + task.feedback - task.turning
+    commanded, feedback, turning = task.twists[0], task.twists[1], task.twists[2]
+    twist = commanded + feedback - turning
     least = LeastNorm(
         parts, inverse, twist, null_space.least_norm(parts, inverse, twist))
 
     # What the arm may come close to in this tick.
-    can = pace(start.previous, constants, gains.clearance_gain, dt)
+    can = pace(start.previous, limits, constants, gains.clearance_gain, dt)
     links = Links(arm.segment_start, arm.segment_end, arm.joint_screws, constants.supports)
     near = near_pairs(
         ellipsoids, links, can.link_speeds, can.rate, gains.clearance_influence_distance,
@@ -217,15 +230,16 @@ def wish(
 
     # The barriers. To evade, any null-space speed is better than leaving the path.
     intruded, turn = rows.is_intruded(near, world.turn), world.turn
-    found = rows.room_for(
+    room = rows.room_for(
         len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 2, len(dq))
+    found = barriers_in_compiled(room, len(room.gradient))
     at = rows.obstacle_rows(found, 0, near, ellipsoids, gains.clearance_lead)
     at = rows.turn_rows(found, at, turn, limits.velocity_max)
     at = rows.link_rows(found, at, own, constants)
     at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
     if not intruded:
-        at = rows.self_motion_row(found, at, arm, parts, start.previous, constants, dt)
-    barriers = rows.first_rows(found, at)
+        at = rows.self_motion_row(found, at, start, parts, limits, constants)
+    barriers = barriers_in_compiled(room, at)
 
     share = unseen_share(near.unseen, can)
     admissible = (
@@ -234,7 +248,7 @@ def wish(
             dq, arm.q, start.previous, limits, barriers, gains.clearance_gain, dt))
     return Wish(
         dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts), task,
-        pose_after(task.reference, task.commanded, constants.rows, constants.in_tool, dt),
-        barriers, intruded, near.nearest_link, near.nearest_obstacle,
+        pose_after(task.reference, commanded, constants.rows, constants.in_tool, dt),
+        room, at, intruded, near.nearest_link, near.nearest_obstacle,
         near.nearest_normalized_distance, near.nearest_distance, admissible,
         _blocked(near, arm.q, least_norm, limits, gains.horizon_look_ahead), share)

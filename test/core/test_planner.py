@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
-from redundant_planner.core.constants import robot_constants
+from redundant_planner.core.constants import limits_of, robot_constants
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.obstacles.obstacle import Obstacle
@@ -417,17 +417,18 @@ def test_a_speed_limit_of_zero_stops_the_arm(panda, limit):
 def test_null_space_motion_at_its_bound_stops_next_to_the_path(make):
     """Proportional braking from the bound, integrated, leads 0.25 mm aside, or 2.5 mrad."""
     robot = make()
-    constants = robot_constants(robot, PlannerParameters())
+    parameters = PlannerParameters()
+    limits, constants = limits_of(robot, parameters), robot_constants(robot, parameters)
     random, met = np.random.default_rng(0), 0
     for q in random_postures(robot, 40):
         arm = robot.kinematics(q)
         spare = np.linalg.svd(arm.jacobian)[2][robot.m:]
         self_motion = random.normal(size=len(spare)) @ spare
         self_motion *= 20.0 / np.linalg.norm(self_motion)
-        bound = fastest_self_motion(arm, self_motion, constants)
+        bound = fastest_self_motion(arm, self_motion, limits, constants)
         assert bound < np.linalg.norm(self_motion)
         slow = self_motion * (bound / np.linalg.norm(self_motion))
-        assert fastest_self_motion(arm, 0.5 * slow, constants) == np.inf
+        assert fastest_self_motion(arm, 0.5 * slow, limits, constants) == np.inf
         stop = stopping_time(slow, robot.acceleration_max)
         rest = robot.kinematics(q + 0.5 * stop * slow)
         aside = np.linalg.norm(rest.tip_position - arm.tip_position)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+import re
 
 from bags import DT, paper_motion, write
 from hypothesis import given, strategies as st
@@ -35,7 +36,8 @@ def test_a_live_run_with_its_ticks_is_repeated_exactly(paper_runs, tmp_path, met
     found = differences(inputs, replay)
     assert len(found) > 500 and found.max() < 1e-9
     assert replay_bag([str(bag), '--out', str(tmp_path / 'again')]) == 0
-    assert 'largest difference 0' in capfd.readouterr().out
+    said = re.search(r'largest difference (\S+)\n', capfd.readouterr().out)
+    assert said and float(said[1]) < 1e-9  # round-off, of processes that place arrays differently
 
 
 def test_ticks_made_up_take_a_preview_from_its_stamp_on(paper_runs):

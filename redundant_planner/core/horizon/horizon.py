@@ -8,7 +8,7 @@ import numpy.typing as npt
 from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
 from redundant_planner.core.horizon.multi_start import MultiStart
 from redundant_planner.core.horizon.path_qp import PathQP, Plan
-from redundant_planner.core.horizon.poses_ahead import Poses
+from redundant_planner.core.horizon.poses_ahead import middles, Poses
 from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
 from redundant_planner.core.robot.model import Robot
 
@@ -36,14 +36,16 @@ class Horizon:
 
     Attributes:
         times: (N + 1,) of the nodes, from now [s].
+        middles: (N,) half way between them [s].
     """
 
     def __init__(self, robot: Robot, times: Array, joints: PathJoints) -> None:
         """Prepare for an arm and times (N + 1,) ahead, from `node_times`."""
-        self.times = times
+        self.times, self.middles = times, middles(times)
         self._robot, self._joints = robot, joints
         self._problem = PathQP(robot, times, joints)
         self._search = MultiStart(self._problem)
+        self._stiffness = 1.0 / float(times[1] - times[0])
         self._moving_on: tuple[float, Array] | None = None
         self.reset()
 
@@ -92,8 +94,7 @@ class Horizon:
         self._step(q, poses, ellipsoids)
         if self._plan is None:
             return None
-        stiffness = 1.0 / (self.times[1] - self.times[0])
-        return (self._plan.nodes[0] - q) * stiffness
+        return (self._plan.nodes[0] - q) * self._stiffness
 
     def _step(self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids) -> None:
         """Give one step to the plan, to the search or to what it has found."""
@@ -155,4 +156,4 @@ class Horizon:
             self._moving_on = dt, np.array([
                 np.interp(self.times[1:] + dt, self.times, row)
                 for row in np.eye(len(self.times))]).T
-        return plan._replace(nodes=self._moving_on[1] @ np.vstack((q, plan.nodes)))
+        return plan._replace(nodes=self._moving_on[1] @ np.concatenate((q[None], plan.nodes)))

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.least_norm_path import PathJoints
-from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
-from redundant_planner.core.horizon.preview import continued, TwistAhead
+from redundant_planner.core.horizon.poses_ahead import node_times, poses_ahead
+from redundant_planner.core.horizon.preview import continued, Preview, TwistAhead
 from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy.reference import reference_of, Start
@@ -75,7 +75,7 @@ class LookAhead:
         return self._horizon is not None and self._horizon.cut_short
 
     def velocity(
-        self, start: Start, ellipsoids: InflatedEllipsoids, ahead: TwistAhead | None,
+        self, start: Start, ellipsoids: InflatedEllipsoids, ahead: Preview | TwistAhead | None,
         busy: bool,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
@@ -103,9 +103,10 @@ class LookAhead:
 
         times = horizon.times
         if ahead is None:
-            twists = continued(start.command, growth, middles(times))
+            twists = continued(start.command, growth, horizon.middles)
         else:
-            twists = self._controlled * ahead(times)
+            between = ahead.between if isinstance(ahead, Preview) else ahead
+            twists = self._controlled * between(times)
         reference = reference_of(start, self._constants, self._gains)
         poses = poses_ahead(reference, twists, times, self._robot.in_tool)
         self._velocity = horizon.advance(start.arm.q, poses, ellipsoids, elapsed)

@@ -13,6 +13,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.pace import reach
 
 Array = npt.NDArray[np.float64]
@@ -27,11 +28,12 @@ class ObstacleWatch:
     """
 
     def __init__(
-        self, robot: Robot, parameters: PlannerParameters, constants: RobotConstants,
-        gains: Gains,
+        self, robot: Robot, parameters: PlannerParameters, limits: Limits,
+        constants: RobotConstants, gains: Gains,
     ) -> None:
-        """Prepare for an arm; the last two arguments are made of the parameters."""
-        self._robot, self._constants, self._gains = robot, constants, gains
+        """Prepare for an arm; the other arguments are made of the parameters."""
+        self._robot, self._limits = robot, limits
+        self._constants, self._gains = constants, gains
         self._lead, self._course = parameters.clearance_lead, parameters.clearance_evasion_horizon
         self._radii = np.array([c.radius for c in robot.capsules]) + parameters.clearance_margin
         self._scene: Scene | None = None
@@ -80,7 +82,8 @@ class ObstacleWatch:
         if len(scene.names) < FEW:
             self._around = everything(scene, self._radii, self._lead, arm.q)
             return self._around
-        near = reach(previous, self.fastest, self._constants, self._gains, dt)
+        near = reach(
+            previous, self.fastest, self._limits, self._constants, self._gains, dt)
         if around is None or not around.hold(scene, arm.q, self._robot.lever_arm_bounds, near):
             self.chose = True
             self._around = around = surroundings(

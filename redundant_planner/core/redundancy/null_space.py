@@ -41,14 +41,14 @@ class Decomposition(NamedTuple):
 
 
 @kernel
-def _sorted(rows: Matrix, left: Matrix) -> Decomposition:
-    """Return U, Σ and Vᵀ of U and Σ Vᵀ, by descending singular values."""
+def _sorted(rows: Matrix, turns: Matrix) -> Decomposition:
+    """Return U, Σ and Vᵀ of Σ Vᵀ and Uᵀ, by descending singular values."""
     m, n = rows.shape
     sizes = np.zeros(m)
     for i in range(m):
         for k in range(n):
             sizes[i] += rows[i, k] * rows[i, k]
-    turned, values, right = np.empty((m, m)), np.empty(m), np.zeros((m, n))
+    left, values, right = np.empty((m, m)), np.empty(m), np.zeros((m, n))
     for i in range(m):
         largest = 0
         for j in range(m):
@@ -57,11 +57,11 @@ def _sorted(rows: Matrix, left: Matrix) -> Decomposition:
         values[i] = math.sqrt(max(sizes[largest], 0.0))
         sizes[largest] = -1.0
         for k in range(m):
-            turned[k, i] = left[k, largest]
+            left[k, i] = turns[largest, k]
         if values[i] > _RANK_TOLERANCE * values[0]:
             for k in range(n):
                 right[i, k] = rows[largest, k] / values[i]
-    return Decomposition(turned, values, right)
+    return Decomposition(left, values, right)
 
 
 @compiled
@@ -73,7 +73,7 @@ def decompose(jacobian: Matrix) -> Decomposition:
     more exactly (Demmel and Veselić 1992).
     """
     m, n = jacobian.shape
-    rows, left = jacobian.copy(), np.eye(m)
+    rows, turns = jacobian.copy(), np.eye(m)  # Uᵀ J and Uᵀ
     for _ in range(_MOST_SWEEPS):
         orthogonal = True
         for i in range(m - 1):
@@ -83,22 +83,23 @@ def decompose(jacobian: Matrix) -> Decomposition:
                     a += rows[i, k] * rows[i, k]
                     b += rows[j, k] * rows[j, k]
                     c += rows[i, k] * rows[j, k]
-                if abs(c) <= _ORTHOGONAL * math.sqrt(a * b):
+                if c * c <= _ORTHOGONAL * _ORTHOGONAL * (a * b):
                     continue
                 orthogonal = False
-                zeta = (b - a) / (2.0 * c)
-                tangent = math.copysign(1.0 / (abs(zeta) + math.sqrt(1.0 + zeta * zeta)), zeta)
+                apart = b - a
+                tangent = 2.0 * c / (
+                    apart + math.copysign(math.sqrt(apart * apart + 4.0 * c * c), apart))
                 cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
                 sine = cosine * tangent
                 for k in range(n):
                     x, y = rows[i, k], rows[j, k]
                     rows[i, k], rows[j, k] = cosine * x - sine * y, sine * x + cosine * y
                 for k in range(m):
-                    x, y = left[k, i], left[k, j]
-                    left[k, i], left[k, j] = cosine * x - sine * y, sine * x + cosine * y
+                    x, y = turns[i, k], turns[j, k]
+                    turns[i, k], turns[j, k] = cosine * x - sine * y, sine * x + cosine * y
         if orthogonal:
             break
-    return _sorted(rows, left)
+    return _sorted(rows, turns)
 
 
 @compiled
@@ -240,10 +241,10 @@ def dynamic_factor(k_alpha: float, least_norm: Vector, projected: Vector) -> flo
         least_norm: (n,) J⁺ẋ.
         projected: (n,) P∇H.
     """
-    squares = np.zeros(2)
+    squared, squared_projected = 0.0, 0.0
     for i in range(len(least_norm)):
-        squares[0] += least_norm[i] * least_norm[i]
-        squares[1] += projected[i] * projected[i]
-    size = math.sqrt(squares[0])
-    total = size + math.sqrt(squares[1])
+        squared += least_norm[i] * least_norm[i]
+        squared_projected += projected[i] * projected[i]
+    size = math.sqrt(squared)
+    total = size + math.sqrt(squared_projected)
     return k_alpha * size / total if total > 0.0 else 0.0

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Vector
+from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Vector
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.jacobian import jdot_qdot
 from redundant_planner.core.robot.kinematics import Kinematics
@@ -27,18 +27,29 @@ class Task(NamedTuple):
     """What the tip shall do in a tick, in the controlled axes of the command frame.
 
     Attributes:
-        commanded: (m,) the commanded twist.
-        feedback: (m,) the twist that leads back to the reference pose.
-        turning: (m,) the part that J's own turning within the tick makes, ½ dt J̇ q̇.
+        twists: (3, m) the three below.
         error: (6,) reference pose minus the tip's.
         reference: the reference pose; one that is out of reach is brought along.
     """
 
-    commanded: Vector
-    feedback: Vector
-    turning: Vector
+    twists: Matrix
     error: Vector
     reference: Pose
+
+    @property
+    def commanded(self) -> Array:
+        """The commanded twist, (m,)."""
+        return self.twists[0]
+
+    @property
+    def feedback(self) -> Array:
+        """The twist that leads back to the reference pose, (m,)."""
+        return self.twists[1]
+
+    @property
+    def turning(self) -> Array:
+        """The part that J's own turning within the tick makes, ½ dt J̇ q̇, (m,)."""
+        return self.twists[2]
 
 
 class Start(NamedTuple):
@@ -59,6 +70,15 @@ class Start(NamedTuple):
     dt: float
 
 
+@kernel
+def _apart(a: Vector, b: Vector) -> float:
+    """Return the largest difference of two vectors' entries."""
+    largest = 0.0
+    for i in range(len(a)):
+        largest = max(largest, abs(a[i] - b[i]))
+    return largest
+
+
 @compiled
 def task_of(start: Start, constants: RobotConstants, gains: Gains) -> Task:
     """Return what the tip shall do in this tick: ẋ.
@@ -73,20 +93,21 @@ def task_of(start: Start, constants: RobotConstants, gains: Gains) -> Task:
     for row in rows:
         error[row] = apart[row]
     kept = se3.bounded(error, gains.feedback_distance, gains.feedback_angle)
-    if len(rows) < 6 or (kept != error).any():
+    if len(rows) < 6 or _apart(kept, error) > 0.0:
         reference = se3.displaced(pose, kept, constants.in_tool)
     correction = se3.feedback(
         kept, gains.feedback_gain, gains.feedback_speed, gains.feedback_angular_speed)
-    if np.abs(start.command).max() == 0.0 and np.abs(kept).max() < _AT_REST:
+    nothing = np.zeros(6)
+    if _apart(start.command, nothing) == 0.0 and _apart(kept, nothing) < _AT_REST:
         correction[:] = 0.0
-    commanded, feedback, turning = np.zeros((3, len(rows)))
+    twists = np.zeros((3, len(rows)))
     for i in range(len(rows)):
-        commanded[i], feedback[i] = start.command[rows[i]], correction[rows[i]]
+        twists[0, i], twists[1, i] = start.command[rows[i]], correction[rows[i]]
     if gains.feedback_gain > 0.0:
         # J turns while the arm moves: half of that belongs to the tick ahead.
-        turning[:] = 0.5 * start.dt * jdot_qdot(
+        twists[2] = 0.5 * start.dt * jdot_qdot(
             arm.tip_jacobian, start.previous, arm.tip_rotation, constants.in_tool, rows)
-    return Task(commanded, feedback, turning, kept, reference)
+    return Task(twists, kept, reference)
 
 
 @entry

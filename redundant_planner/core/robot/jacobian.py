@@ -79,13 +79,14 @@ def derivative_times(
     """
     n = len(dq)
     columns = np.empty((len(rows), n))
-    after, before = np.zeros(6), np.zeros(3)  # Σ [v_j; w_j] q̇_j over j ≥ k, Σ w_j q̇_j over j < k
+    # Σ [v_j; w_j] q̇_j over j ≥ k and over j < k; what is taken off; a whole column.
+    after, before, total, full = np.zeros((4, 6))
     for j in range(n):
         for row in range(6):
             after[row] += jacobian[row, j] * dq[j]
     # In tool axes w_k × J q̇ is taken off.
-    total = after.copy() if in_tool else np.zeros(6)
-    full = np.empty(6)
+    if in_tool:
+        total[:] = after
     for k in range(n):
         v1, v2, v3, w1, w2, w3 = jacobian[:, k]
         for part in range(0, 6, 3):
@@ -94,9 +95,9 @@ def derivative_times(
             z = after[part + 2] - total[part + 2]
             full[part], full[part + 1], full[part + 2] = (
                 w2 * z - w3 * y, w3 * x - w1 * z, w1 * y - w2 * x)
-        full[0] += before[1] * v3 - before[2] * v2
-        full[1] += before[2] * v1 - before[0] * v3
-        full[2] += before[0] * v2 - before[1] * v1
+        full[0] += before[4] * v3 - before[5] * v2
+        full[1] += before[5] * v1 - before[3] * v3
+        full[2] += before[3] * v2 - before[4] * v1
         for i in range(len(rows)):
             row = rows[i]
             if in_tool:
@@ -107,9 +108,7 @@ def derivative_times(
                 columns[i, k] = full[row]
         for row in range(6):
             after[row] -= jacobian[row, k] * dq[k]
-        before[0] += w1 * dq[k]
-        before[1] += w2 * dq[k]
-        before[2] += w3 * dq[k]
+            before[row] += jacobian[row, k] * dq[k]
     return columns
 
 

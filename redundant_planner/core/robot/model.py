@@ -22,7 +22,7 @@ from redundant_planner.core.robot.kinematics import (
     kinematics_along,
     KinematicsAlong,
     Links,
-    new_kinematics,
+    shapes_of,
 )
 from redundant_planner.core.robot.pinocchio_model import (
     chain_joints,
@@ -128,6 +128,7 @@ class Robot:
             shapes.straight_capsules(self._model, self._tip_id, link_radius)
             if capsules is None else capsules)
         self.chain = self._chain()
+        self._shapes = shapes_of(self.n, self.m, len(self.capsules))
         self.supports = _read_only(self.chain.supports.copy())
         self.lever_arm_bounds = _read_only(shapes.lever_arm_bounds(
             self._model, self.chain.capsule_joint, self.chain.capsule_ends))
@@ -183,9 +184,8 @@ class Robot:
         Raises:
             StateError: `q` does not have n finite entries.
         """
-        q = self.checked_posture(q)
-        arm = new_kinematics(q, self.m, len(self.capsules))
-        fill_kinematics(*self.joint_frames.at(q), self.chain, arm)
+        arm = Kinematics(self.checked_posture(q), *map(np.empty, self._shapes))
+        fill_kinematics(*self.joint_frames.at(arm.q), self.chain, arm)
         return arm
 
     def kinematics_along(self, postures: Array) -> KinematicsAlong:

@@ -71,9 +71,9 @@ def rotation_vector(rotation: Matrix) -> Array:
         quaternion[j], quaternion[k] = r[j, i] + r[i, j], r[k, i] + r[i, k]
     x, y, z = quaternion
     size = math.sqrt(x * x + y * y + z * z)
-    if scalar < 0.0:
-        scalar, quaternion = -scalar, -quaternion
-    return quaternion * (2.0 * math.atan2(size, scalar) / size if size > 0.0 else 0.0)
+    if size > 0.0:
+        quaternion *= 2.0 * math.atan2(size, abs(scalar)) / (size if scalar >= 0.0 else -size)
+    return quaternion
 
 
 @kernel

@@ -13,13 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import RobotConstants
-from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Vector
+from redundant_planner.core.kernels import compiled, IndexPairs, Indices, kernel, Matrix, Vector
 from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
 from redundant_planner.core.obstacles.near_pairs import NearPairs
 from redundant_planner.core.obstacles.self_collision import NearLinks
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
+from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.jacobian import derivative_between, jdot_qdot
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.safety.limits import (
@@ -64,6 +65,31 @@ class Barriers(NamedTuple):
     kind: Indices
     first: Indices
     second: Indices
+
+
+class Rows(NamedTuple):
+    """Room for the rows of a tick, in as few arrays as can be: each costs time to hand over.
+
+    Attributes:
+        gradient: (b, n) see `Barriers`.
+        terms: (3, b) time derivative, value and spare.
+        about: (3, b) kind, first and second.
+    """
+
+    gradient: Matrix
+    terms: Matrix
+    about: IndexPairs
+
+
+def barriers_in(rows: Rows, count: int) -> Barriers:
+    """Return the first rows, as views."""
+    terms, about = rows.terms, rows.about
+    return Barriers(
+        rows.gradient[:count], terms[0, :count], terms[1, :count], terms[2, :count],
+        about[0, :count], about[1, :count], about[2, :count])
+
+
+barriers_in_compiled = kernel(barriers_in)
 
 
 def barriers_of(
@@ -130,20 +156,9 @@ def admissible(
 
 
 @kernel
-def room_for(rows: int, n: int) -> Barriers:
+def room_for(rows: int, n: int) -> Rows:
     """Return so many rows to be filled."""
-    terms, about = np.zeros((3, rows)), np.full((3, rows), -1)
-    return Barriers(np.zeros((rows, n)), terms[0], terms[1], terms[2], about[0], about[1],
-                    about[2])
-
-
-@kernel
-def first_rows(barriers: Barriers, count: int) -> Barriers:
-    """Return the first rows."""
-    return Barriers(
-        barriers.gradient[:count], barriers.time_derivative[:count], barriers.value[:count],
-        barriers.spare[:count], barriers.kind[:count], barriers.first[:count],
-        barriers.second[:count])
+    return Rows(np.zeros((rows, n)), np.zeros((3, rows)), np.full((3, rows), -1))
 
 
 @kernel
@@ -214,7 +229,9 @@ def singularity_row(
 
 
 @compiled
-def fastest_self_motion(arm: Kinematics, self_motion: Vector, constants: RobotConstants) -> float:
+def fastest_self_motion(
+    arm: Kinematics, self_motion: Vector, limits: Limits, constants: RobotConstants,
+) -> float:
     """Return how fast null-space motion h may be to stop next to the path [rad/s, m/s].
 
     All joints slowing in proportion within T, the tip is accelerated by J̇ h while h lasts, and
@@ -229,7 +246,7 @@ def fastest_self_motion(arm: Kinematics, self_motion: Vector, constants: RobotCo
             squared += rate[i] * rate[i]
         else:
             squared_angle += rate[i] * rate[i]
-    stop = stopping_time(self_motion, constants.acceleration_max)
+    stop = stopping_time(self_motion, limits.acceleration_max)
     aside = stop * stop / 8.0 * max(
         math.sqrt(squared) / STRAY, math.sqrt(squared_angle) / STRAY_ANGLE)
     # A tick adds less than a tenth to a speed at which this matters.
@@ -240,18 +257,18 @@ def fastest_self_motion(arm: Kinematics, self_motion: Vector, constants: RobotCo
 
 @kernel
 def self_motion_row(
-    rows: Barriers, at: int, arm: Kinematics, parts: Decomposition, previous: Vector,
-    constants: RobotConstants, dt: float,
+    rows: Barriers, at: int, start: Start, parts: Decomposition, limits: Limits,
+    constants: RobotConstants,
 ) -> int:
     """Write a row that keeps null-space motion slow enough to stop; return the next row."""
-    scaling = constants.scaling
+    scaling, previous, dt = constants.scaling, start.previous, start.dt
     self_motion = scaling * null_space.project(parts, previous / scaling)
-    fastest = fastest_self_motion(arm, self_motion, constants)
+    fastest = fastest_self_motion(start.arm, self_motion, limits, constants)
     if fastest == np.inf:
         return at
     # h·q̇ / |h| may be that much at most, whatever the rate of the other barriers.
     speed = math.sqrt(np.sum(self_motion * self_motion))
-    slower = 1.0 - dt / max(stopping_time(previous, constants.acceleration_max), dt)
+    slower = 1.0 - dt / max(stopping_time(previous, limits.acceleration_max), dt)
     rows.gradient[at] = -self_motion / speed
     rows.time_derivative[at] = max(fastest, slower * np.sum(self_motion * previous) / speed)
     rows.kind[at] = SELF_MOTION

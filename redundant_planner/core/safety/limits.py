@@ -88,23 +88,25 @@ def velocity_bounds(
     """
     n = len(q)
     slowed = braked(previous, limits.acceleration_max, dt)
-    highest, bounds, kept = np.empty(2), np.empty((2, n)), True
-    for i in range(n):
-        # Side 0 is the way up, side 1 the way down, both counted positive outwards.
-        for side in range(2):
-            outward = 1.0 - 2.0 * side
-            room = (limits.positions[side, i] - q[i]) * outward
+    bounds, kept = np.empty((2, n)), True
+    for side in range(2):
+        # Side 0 is the way down, side 1 the way up. First the fastest outwards.
+        outward = 2.0 * side - 1.0
+        for i in range(n):
+            room = (limits.positions[1 - side, i] - q[i]) * outward
             speed = max(room, 0.0) / (stop / 2.0 + dt)
             if limits.margin > 0.0:
                 last = max(room + 0.5 * limits.margin, 0.0) / (stop / 2.0 + dt)
                 speed = max(speed, min(slowed[i] * outward, last))
-            highest[side] = min(limits.velocity_max[i], speed)
-        for side in range(2):
-            reached = previous[i] * (1.0 - 2.0 * side) + limits.acceleration_max[i] * dt
-            lowest = -highest[1 - side]
-            bounds[side, i] = min(max(reached, lowest), highest[side])
-            kept = kept and reached >= lowest - TOLERANCE
-    return -bounds[1], bounds[0], kept
+            bounds[side, i] = outward * min(limits.velocity_max[i], speed)
+    for i in range(n):
+        slowest, fastest = bounds[0, i], bounds[1, i]
+        lower = previous[i] - limits.acceleration_max[i] * dt
+        upper = previous[i] + limits.acceleration_max[i] * dt
+        kept = kept and lower <= fastest + TOLERANCE and upper >= slowest - TOLERANCE
+        bounds[0, i] = max(min(lower, fastest), slowest)
+        bounds[1, i] = min(max(upper, slowest), fastest)
+    return bounds[0], bounds[1], kept
 
 
 @entry

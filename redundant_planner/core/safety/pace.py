@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.kernels import entry, kernel, Matrix, Vector
-from redundant_planner.core.safety.limits import barrier_rate, stopping_time
+from redundant_planner.core.safety.limits import barrier_rate, Limits, stopping_time
 
 Array = npt.NDArray[np.float64]
 
@@ -30,32 +30,35 @@ class Pace(NamedTuple):
 
 
 @kernel
-def pace(previous: Vector, constants: RobotConstants, gain: float, dt: float) -> Pace:
+def pace(
+    previous: Vector, limits: Limits, constants: RobotConstants, gain: float, dt: float,
+) -> Pace:
     """Return how far a tick can lead from a velocity (n,)."""
     n = len(previous)
     fastest, speeds = np.empty(n), np.zeros(len(constants.lever_arm_bounds))
     for j in range(n):
-        fastest[j] = min(abs(previous[j]) + constants.acceleration_max[j] * dt,
-                         constants.velocity_max[j])
+        fastest[j] = min(abs(previous[j]) + limits.acceleration_max[j] * dt,
+                         limits.velocity_max[j])
         for link in range(len(speeds)):
             speeds[link] += constants.lever_arm_bounds[link, j] * fastest[j]
-    stop = stopping_time(previous, constants.acceleration_max) + dt
+    stop = stopping_time(previous, limits.acceleration_max) + dt
     return Pace(fastest, speeds, barrier_rate(gain, stop, dt))
 
 
 @entry
 def reach(
-    previous: Vector, obstacle_speed: float, constants: RobotConstants, gains: Gains, dt: float,
+    previous: Vector, obstacle_speed: float, limits: Limits, constants: RobotConstants,
+    gains: Gains, dt: float,
 ) -> Array:
     """Return how near an obstacle must be to each link to matter in a tick, (c,) [m].
 
     Args:
         previous: (n,) velocity of the last tick.
         obstacle_speed: of the fastest obstacle [m/s].
-        constants, gains: the robot and the parameters.
+        limits, constants, gains: the robot and the parameters.
         dt: [s].
     """
-    can = pace(previous, constants, gains.clearance_gain, dt)
+    can = pace(previous, limits, constants, gains.clearance_gain, dt)
     least = max(gains.clearance_influence_distance,
                 gains.clearance_evasion_horizon * obstacle_speed)
     return np.maximum((can.link_speeds + obstacle_speed) / can.rate, least)
