@@ -12,7 +12,7 @@ demo: $(VENV)/.demo-ready
 	$(VENV)/bin/demo --out demo_output
 
 test: $(VENV)/.test-ready lint
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python test/side_by_side.py
 
 lint: $(VENV)/.test-ready
 	$(VENV)/bin/ruff check .

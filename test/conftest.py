@@ -87,6 +87,14 @@ _MACHINE = pytest.StashKey[Standstill]()
 
 
 @pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark what takes live processes, for side_by_side.py."""
+    for item in items:
+        if item.get_closest_marker('flaky') or 'paper_runs' in item.fixturenames:
+            item.add_marker(pytest.mark.live)
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
     """Watch the machine from the first live test on, for `live_helpers.LIVE`."""
     if item.get_closest_marker('flaky') is None:
@@ -106,6 +114,12 @@ def pytest_runtest_makereport(item, call):
     if call.when == 'call':
         item.stash[PASSED] = report.passed
     return report
+
+
+def pytest_runtest_logreport(report):
+    """Say why a test is tried again; pytest only says that it is."""
+    if report.outcome == 'rerun':
+        print(f'\n{report.nodeid} is tried again: {report.longrepr.reprcrash.message[:500]}')
 
 
 @pytest.fixture

@@ -451,7 +451,9 @@ def _configuration(
 def _ticks(random: Random, messages: list[Recorded], kinds: dict[str, str]) -> list[Recorded]:
     """Put other numbers into some ticks."""
     def changed(random: Random, message: Recorded) -> Recorded:
-        numbers: npt.NDArray[np.float64] = np.frombuffer(message.raw[-160:]).copy()
+        # Another attack may have cut it.
+        end = message.raw[len(message.raw) % 8:][-160:]
+        numbers: npt.NDArray[np.float64] = np.frombuffer(end or bytes(8)).copy()
         numbers[random.integers(len(numbers))] = random.choice(_NUMBERS)
         if random.random() < 0.2:
             numbers = numbers[:int(random.integers(len(numbers)))]
