@@ -13,6 +13,21 @@ from typing import Any
 import yaml
 
 
+class _Untagged(yaml.SafeLoader):
+    """Reads YAML as rcl does, which looks at no tags: launch_ros writes lists as Python tuples."""
+
+    def value_of(self, tag: str, node: yaml.Node) -> Any:
+        """Return what stands behind a tag that YAML itself does not know."""
+        if isinstance(node, yaml.SequenceNode):
+            return self.construct_sequence(node, deep=True)
+        if isinstance(node, yaml.MappingNode):
+            return self.construct_mapping(node, deep=True)
+        return node.value
+
+
+_Untagged.add_multi_constructor('', _Untagged.value_of)
+
+
 @functools.cache
 def disputed(arguments: tuple[str, ...], node: str) -> dict[str, Any]:
     """Return the parameters that the command line and its files give more than once.
@@ -34,13 +49,14 @@ def disputed(arguments: tuple[str, ...], node: str) -> dict[str, Any]:
     for flag, argument in pairwise((*arguments, '')):
         inside = flag == '--ros-args' or (inside and flag != '--')
         if inside and flag == '--params-file':
-            for name, value in _values_for(node, yaml.safe_load(Path(argument).read_text())):
+            content = yaml.load(Path(argument).read_text(), _Untagged)
+            for name, value in _values_for(node, content):
                 files.setdefault(name, []).append(value)
         elif inside and flag in ('-p', '--param'):
             name, _, text = argument.partition(':=')
             place, colon, name = name.rpartition(':')
             if not colon or place == node.rpartition('/')[2]:
-                lines.setdefault(name, []).append(_plain(yaml.safe_load(text)))
+                lines.setdefault(name, []).append(_plain(yaml.load(text, _Untagged)))
     last = {name: values[-1] for name, values in (files | lines).items()}
     return {name: value for name, value in last.items()
             if (name in files and name in lines) or len(

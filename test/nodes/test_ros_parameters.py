@@ -12,6 +12,7 @@ import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
+import yaml
 
 from redundant_planner.core.errors import ParameterError
 from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_of
@@ -76,6 +77,19 @@ def test_namespaces_of_files_may_be_nested(file, tmp_path):
     other.write_text('arm:\n  planner_node:\n    ros__parameters: {criteria.k_w: 7.5}\n')
     line = ('planner_node', '--ros-args', '--params-file', file, '--params-file', str(other))
     assert disputed(line, '/arm/planner_node') == {'criteria.k_w': 7.5}
+
+
+def test_files_may_have_tags_as_those_of_launch_ros(tmp_path):
+    """It writes lists as Python tuples, and rcl looks at no tags."""
+    path = tmp_path / 'launch.yaml'
+    path.write_text(yaml.dump({'/**': {'ros__parameters': {
+        'initial_joints': ('d1', 'd2'), 'initial_positions': (0.1, 0.2)}}}))
+    assert '!!python/tuple' in path.read_text()
+    line = ('fake_hardware_node', '--ros-args', '--params-file', str(path), '-p',
+            'initial_positions:=[0.3, 0.4]')
+    assert disputed(line, '/fake_hardware_node') == {'initial_positions': [0.3, 0.4]}
+    status, said = run_node('fake_hardware_node', *line[2:])
+    assert status == 2 and "'urdf' is empty" in said, said
 
 
 def test_a_decimal_on_the_command_line_wins_over_a_whole_number_in_a_file(tmp_path):
