@@ -413,6 +413,26 @@ def test_a_speed_limit_of_zero_stops_the_arm(panda, limit):
     assert np.abs(result.dq).max() < 1e-9
 
 
+@pytest.mark.parametrize('margin', [0.15, 0.1999])
+def test_a_margin_that_grows_over_a_moving_arm_brakes_it_within_the_acceleration_limits(margin):
+    """Found deep inside the margin on its way out, it stops on what is left of it."""
+    robot = make_paper_arm()
+    planner, dt = Planner(robot, PlannerParameters()), 0.004
+    q, dq = np.array([0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0]), np.zeros(robot.n)
+    twist = np.array([-0.029, -0.05, 0.004, 0.0, 0.0, 0.0])
+    # Where rails d1 and d2 have 0.1 m to their lower ends.
+    for i in range(60):
+        if i == 20:
+            planner.parameters = PlannerParameters(limits_position_margin=margin)
+            moving = dq
+        result = planner.step(q, twist, Scene.of(), dt)
+        assert (np.abs(result.dq - dq) <= robot.acceleration_max * dt + 1e-9).all()
+        dq = result.dq
+        q = q + dt * dq
+        assert (q > robot.position_min).all() and (q < robot.position_max).all()
+    assert moving[1] < -0.01 and dq[1] > -1e-9
+
+
 @pytest.mark.parametrize('make', [make_panda, make_paper_arm])
 def test_null_space_motion_at_its_bound_stops_next_to_the_path(make):
     """Proportional braking from the bound, integrated, leads 0.25 mm aside, or 2.5 mrad."""

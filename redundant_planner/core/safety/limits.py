@@ -24,7 +24,7 @@ class Limits(NamedTuple):
         positions: (2, n) highest, then lowest, a margin taken off.
         velocity_max, acceleration_max: (n,).
         margin: [rad, m], half of which may be used up rather than an acceleration limit
-            exceeded.
+            exceeded; half of the rest where an arm is found inside it.
     """
 
     positions: Matrix
@@ -73,8 +73,8 @@ def velocity_bounds(
       in time. As T ≥ |q̇_j| / a_j for every joint, the joint alone can brake in time as well.
     The lower bound mirrors it. A joint outside its range may not move further out. Where the
     acceleration limit contradicts the others, they win. But measurements are always a little
-    old: an arm found further on than it could be may brake in proportion, as long as that ends
-    within the first half of the margin.
+    old: an arm found further on than it could be may brake in proportion, as long as that uses
+    up no more than half of what is left of the margin.
 
     Args:
         q: (n,) positions.
@@ -96,7 +96,8 @@ def velocity_bounds(
             room = (limits.positions[1 - side, i] - q[i]) * outward
             speed = max(room, 0.0) / (stop / 2.0 + dt)
             if limits.margin > 0.0:
-                last = max(room + 0.5 * limits.margin, 0.0) / (stop / 2.0 + dt)
+                left = max(limits.margin + min(room, 0.0), 0.0)
+                last = (max(room, 0.0) + 0.5 * left) / (stop / 2.0 + dt)
                 speed = max(speed, min(slowed[i] * outward, last))
             bounds[side, i] = outward * min(limits.velocity_max[i], speed)
     for i in range(n):
