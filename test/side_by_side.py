@@ -1,7 +1,7 @@
 """All tests on two cores: those of live processes, and beside them all others.
 
 Live processes share ROS domains, ports and the attention of a core, so their tests run one after
-another. The others only compute. Arguments go to both runs of pytest.
+another. The others only compute, and step back behind them. Arguments go to both runs of pytest.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ def main(arguments: list[str]) -> int:
     """Run both; print the live tests as they go, then the others. Return the exit status."""
     pytest = [sys.executable, '-m', 'pytest', *arguments]
     with tempfile.TemporaryFile('w+') as said:
-        others = subprocess.Popen(
-            [*pytest, '-m', 'not live'], stdout=said, stderr=subprocess.STDOUT)
+        others = subprocess.Popen(['nice', '-n', '19', *pytest, '-m', 'not live'], stdout=said,
+                                  stderr=subprocess.STDOUT)
         try:
             live = subprocess.run([*pytest, '-m', 'live']).returncode
             ends = {live, others.wait()}
