@@ -119,7 +119,9 @@ def pytest_runtest_makereport(item, call):
 def pytest_runtest_logreport(report):
     """Say why a test is tried again; pytest only says that it is."""
     if report.outcome == 'rerun':
-        print(f'\n{report.nodeid} is tried again: {report.longrepr.reprcrash.message[:500]}')
+        crash = getattr(report.longrepr, 'reprcrash', None)
+        reason = crash.message if crash else report.longreprtext
+        print(f'\n{report.nodeid} is tried again: {reason[:500]}')
 
 
 @pytest.fixture

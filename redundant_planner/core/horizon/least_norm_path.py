@@ -11,7 +11,7 @@ import numpy.typing as npt
 from redundant_planner.core.horizon.poses_ahead import error_to, Poses
 from redundant_planner.core.kernels import compiled, entry, Matrix, Stack, Vector
 from redundant_planner.core.redundancy import null_space
-from redundant_planner.core.robot.kinematics import Chain, fill_tip, new_kinematics
+from redundant_planner.core.robot.kinematics import Chain, fill_tip, new_kinematics_compiled
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 
@@ -94,7 +94,7 @@ def _least_norm_step(
         chain: the arm.
         joints: see there.
     """
-    arm = new_kinematics(q, len(chain.rows), 0)
+    arm = new_kinematics_compiled(q, len(chain.rows), 0)
     fill_tip(screws, rotations, positions, chain, arm)
     error = error_to(due, Pose(arm.tip_position, arm.tip_rotation), chain.rows, chain.in_tool)
     orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * joints.scaling)

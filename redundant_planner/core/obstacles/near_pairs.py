@@ -74,10 +74,9 @@ def near_pairs(
         unseen: (c,) how near to a link obstacles may be that are not among them [m].
     """
     shape = ellipsoids.smallest.shape
-    rho, distance, parameter = np.empty((3, *shape))
+    rho, distance, parameter = np.empty(shape), np.empty(shape), np.empty(shape)
     measure(ellipsoids, arm.start, arm.end, 0.0, rho, distance, parameter)
-    pairs = np.empty((2, distance.size), np.intp)
-    links, obstacles = pairs[0], pairs[1]
+    links, obstacles = np.empty(distance.size, np.intp), np.empty(distance.size, np.intp)
     # How much too far a pair is for its barrier to act [m].
     spare = np.empty(distance.size)
     count, acts, link_at, obstacle_at, least = 0, 0, -1, -1, np.inf
@@ -109,9 +108,8 @@ def near_pairs(
         if inactive < widest:
             links[kept], obstacles[kept] = link, obstacle
             kept += 1
-    found = np.empty((3, kept))
-    near, at, rates = found[0], found[1], found[2]
-    gradient = np.empty((kept, arm.joint_screws.shape[1]))
+    near, at = np.empty(kept), np.empty(kept)
+    gradient, rates = np.empty((kept, arm.joint_screws.shape[1])), np.empty(kept)
     clearance_gradients_of(
         ellipsoids, parameter, links[:kept], obstacles[:kept], arm, gradient, rates)
     for i in range(kept):

@@ -88,18 +88,15 @@ class Chain(NamedTuple):
     in_tool: bool
 
 
-def shapes_of(n: int, m: int, links: int) -> list[int | tuple[int, int]]:
-    """Return the shapes of what `Kinematics` holds after the posture."""
-    return [(6, n), 3, (3, 3), (6, n), (m, n), (links, 3), (links, 3)]
-
-
-@kernel
 def new_kinematics(q: Vector, m: int, links: int) -> Kinematics:
     """Return the arrays of an arm's kinematics, for `fill`; only the posture (n,) is in them."""
     n = len(q)
     return Kinematics(
         q.copy(), np.empty((6, n)), np.empty(3), np.empty((3, 3)), np.empty((6, n)),
         np.empty((m, n)), np.empty((links, 3)), np.empty((links, 3)))
+
+
+new_kinematics_compiled = kernel(new_kinematics)
 
 
 @kernel

@@ -22,7 +22,7 @@ from redundant_planner.core.robot.kinematics import (
     kinematics_along,
     KinematicsAlong,
     Links,
-    shapes_of,
+    new_kinematics,
 )
 from redundant_planner.core.robot.pinocchio_model import (
     chain_joints,
@@ -128,7 +128,9 @@ class Robot:
             shapes.straight_capsules(self._model, self._tip_id, link_radius)
             if capsules is None else capsules)
         self.chain = self._chain()
-        self._shapes = shapes_of(self.n, self.m, len(self.capsules))
+        # Of the arrays that every posture gets anew, after the posture itself.
+        self._shapes = [part.shape for part in new_kinematics(
+            np.zeros(self.n), self.m, len(self.capsules))[1:]]
         self.supports = _read_only(self.chain.supports.copy())
         self.lever_arm_bounds = _read_only(shapes.lever_arm_bounds(
             self._model, self.chain.capsule_joint, self.chain.capsule_ends))
