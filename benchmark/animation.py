@@ -24,9 +24,9 @@ from PIL import Image
 
 from benchmark.generator import DURATION, Task
 from benchmark.scenarios import DT, make_robot
-from redundant_planner.analysis.figures import capsule_surface
+from redundant_planner.analysis.figures import capsule_surface, stretched
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -94,7 +94,7 @@ def depths(robot: Robot, obstacles: Sequence[Obstacle], q: Array) -> Array:
     arm = robot.kinematics(q)
     radii = np.array([capsule.radius for capsule in robot.capsules])
     pairs = link_clearance(
-        inflated_ellipsoids(Scene.of(obstacles), radii), arm.segment_start, arm.segment_end)
+        inflated_obstacles(Scene.of(obstacles), radii), arm.segment_start, arm.segment_end)
     return pairs.normalized_distance.min(axis=1)
 
 
@@ -114,8 +114,9 @@ def standing_surfaces(obstacles: Sequence[Obstacle]) -> list[Surface]:
     turn, tilt = np.meshgrid(
         np.linspace(0.0, 2.0 * np.pi, 33), np.linspace(-np.pi / 2, np.pi / 2, 17))
     ball = np.stack((np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)), -1)
-    found = [Surface(_quads((ball * o.semi_axes) @ o.rotation.T + o.center), _OBSTACLE)
-             for o in obstacles]
+    found = [
+        Surface(_quads(stretched(ball, o.shape, o.half_extents) @ o.rotation.T + o.center),
+                _OBSTACLE) for o in obstacles]
     base = capsule_surface(np.array((0.0, 0.0, 0.03)), np.array((0.0, 0.0, 0.12)), 0.085, 14, 25)
     return [*found, Surface(_quads(base), _BASE)]
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from benchmark.generator import DURATION, Task
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.capsules import Capsule
@@ -59,11 +59,11 @@ def unavoidable(robot: Robot, task: Task) -> bool:
             scene = Scene.of([
                 _within(o, capsule, slack[i]) for o in obstacles
                 if np.linalg.norm(o.center - middles[i])
-                <= reaches[i] + capsule.radius + o.semi_axes.max()])
+                <= reaches[i] + capsule.radius + o.half_extents.max()])
             if not scene.names:
                 continue
             pairs = link_clearance(
-                inflated_ellipsoids(scene, np.zeros(1)), arms.segment_start[chosen, i:i + 1],
+                inflated_obstacles(scene, np.zeros(1)), arms.segment_start[chosen, i:i + 1],
                 arms.segment_end[chosen, i:i + 1], np.zeros(len(chosen)))
             free &= (pairs.normalized_distance >= 0.0).all(axis=(1, 2))
         left = np.zeros(len(postures), dtype=bool)
@@ -88,7 +88,7 @@ def _within(obstacle: Obstacle, capsule: Capsule, slack: float) -> Obstacle:
     The support functions say so: √Σ (a + r)² u² ≤ √Σ a² u² + r for every unit u and r ≥ 0.
     """
     return Obstacle(obstacle.name, obstacle.center,
-                    np.maximum(obstacle.semi_axes + capsule.radius - slack, 1e-6),
+                    np.maximum(obstacle.half_extents + capsule.radius - slack, 1e-6),
                     obstacle.orientation)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
@@ -74,9 +74,7 @@ class Task:
 
     def obstacles_at(self, time: float) -> tuple[Obstacle, ...]:
         """Return the obstacles where they are at `time`."""
-        return tuple(
-            Obstacle(o.name, o.center + time * o.velocity, o.semi_axes, o.orientation, o.velocity)
-            for o in self.obstacles)
+        return tuple(o.after(time) for o in self.obstacles)
 
 
 def generate(
@@ -200,7 +198,7 @@ def _clearances(robot: Robot, obstacle: Obstacle, ends: tuple[Array, Array], mar
     """Return ρ (k, c) of one obstacle against links widened by `margin` along a path."""
     k, c = ends[0].shape[:2]
     radii = np.tile([capsule.radius + margin for capsule in robot.capsules], k)
-    maps = inflated_ellipsoids(Scene.of([obstacle]), radii)
+    maps = inflated_obstacles(Scene.of([obstacle]), radii)
     pairs = link_clearance(maps, ends[0].reshape(-1, 3), ends[1].reshape(-1, 3))
     return pairs.normalized_distance.reshape(k, c)
 

@@ -96,9 +96,9 @@ class Judge:
         arm = self.robot.kinematics(q)
         request, best, names = coal.DistanceRequest(), np.inf, ''
         for obstacle in task.obstacles_at(time):
-            ellipsoid = coal.Ellipsoid(*obstacle.semi_axes.tolist())
+            ellipsoid = coal.Ellipsoid(*obstacle.half_extents.tolist())
             at = coal.Transform3s(obstacle.rotation, obstacle.center)
-            reach = obstacle.semi_axes.max()
+            reach = obstacle.half_extents.max()
             for capsule, shape, a, b in zip(
                     self.robot.capsules, self._shapes, arm.segment_start, arm.segment_end):
                 if np.linalg.norm(0.5 * (a + b) - obstacle.center) > (

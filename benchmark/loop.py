@@ -34,7 +34,7 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
@@ -71,7 +71,7 @@ def obstacle_messages(robot: Robot, start: Array, count: int, seed: int = 0) -> 
         ball = Obstacle('o', random.uniform((-1.2, -1.2, -0.3), (1.2, 1.2, 1.4)),
                         random.uniform(0.02, 0.05, 3))
         pairs = link_clearance(
-            inflated_ellipsoids(Scene.of([ball]), radii), arm.segment_start, arm.segment_end)
+            inflated_obstacles(Scene.of([ball]), radii), arm.segment_start, arm.segment_end)
         if pairs.normalized_distance.min() > 0.0:
             centers.append(ball.center)
     directions = random.normal(size=(count, 3))

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -82,7 +82,7 @@ class Optimum:
     def _problem(self) -> tuple[ca.Function, tuple[Array, Array]]:
         robot, n = self._robot, self._robot.n
         scene = self._scene
-        maps = inflated_ellipsoids(scene, [c.radius + self._margin for c in robot.capsules])
+        maps = inflated_obstacles(scene, [c.radius + self._margin for c in robot.capsules])
         q = ca.SX.sym('q', n)
         tip, ends = _forward(robot, q)
         pose = ca.SX.sym('pose', 12)

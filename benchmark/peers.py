@@ -121,7 +121,7 @@ class Pink:
         for i, obstacle in enumerate(obstacles):
             body = geometry.addGeometryObject(pin.GeometryObject(
                 f'obstacle{i}', 0, pin.SE3(obstacle.rotation, obstacle.center),
-                coal.Ellipsoid(*obstacle.semi_axes.tolist())))
+                coal.Ellipsoid(*obstacle.half_extents.tolist())))
             self._obstacle_ids.append(body)
             for link in links:
                 geometry.addCollisionPair(pin.CollisionPair(link, body))
@@ -196,7 +196,7 @@ def mjcf(robot: Robot, obstacles: Sequence[Obstacle]) -> str:
     for i, obstacle in enumerate(obstacles):
         at = pin.SE3(obstacle.rotation, obstacle.center)
         body += (f'<body mocap="true" {_placed(at)}><geom name="obstacle{i}" type="ellipsoid" '
-                 f'size="{_text(obstacle.semi_axes)}"/></body>')
+                 f'size="{_text(obstacle.half_extents)}"/></body>')
     return ('<mujoco><compiler angle="radian"/>'
             f'<worldbody>{body}</worldbody></mujoco>')
 

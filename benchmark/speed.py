@@ -28,7 +28,7 @@ from rich.table import Table
 
 from benchmark.scenarios import make_robot
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -69,7 +69,7 @@ def obstacles_around(robot: Robot, start: Array, count: int, where: str) -> list
     while len(found) < count:
         batch = [Obstacle(f'o{len(found) + i}', random.uniform(*_EXTENTS[where]),
                           random.uniform(0.02, 0.05, 3)) for i in range(count)]
-        clear = link_clearance(inflated_ellipsoids(Scene.of(batch), radii), arm.segment_start,
+        clear = link_clearance(inflated_obstacles(Scene.of(batch), radii), arm.segment_start,
                                arm.segment_end).normalized_distance.min(axis=0) > 0.0
         found += [obstacle for obstacle, free in zip(batch, clear) if free]
     return found[:count]
@@ -122,7 +122,7 @@ def sections(
     robot: Robot, start: Array, obstacles: list[Obstacle], ticks: int,
 ) -> dict[str, float]:
     """Return where a tick's time goes, each part by itself, called from Python [us]."""
-    maps = inflated_ellipsoids(Scene.of(obstacles), [c.radius for c in robot.capsules])
+    maps = inflated_obstacles(Scene.of(obstacles), [c.radius for c in robot.capsules])
     arm, p = robot.kinematics(start), PlannerParameters()
     speeds = robot.lever_arm_bounds @ robot.acceleration_max * _DT  # of the first tick from rest
     all_seen = np.full(len(speeds), np.inf)

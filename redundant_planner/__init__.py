@@ -1,4 +1,4 @@
-"""Velocity-level redundancy resolution for robot arms among ellipsoidal obstacles.
+"""Velocity-level redundancy resolution for robot arms among obstacles.
 
 These names are the public API; `examples/` shows them in use:
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
@@ -119,6 +119,6 @@ def _moved(scene: Scene, time: float) -> Scene:
 def _distance(robot: Robot, q: Array, scene: Scene, margin: float) -> float:
     """Return the distance to the nearest obstacle [m], exact at the margin, see `Motion`."""
     arm = robot.kinematics(q)
-    maps = inflated_ellipsoids(scene, [c.radius + margin for c in robot.capsules])
+    maps = inflated_obstacles(scene, [c.radius + margin for c in robot.capsules])
     pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
     return margin + float(pairs.distance.min(initial=np.inf))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 
@@ -25,6 +25,26 @@ def random_scene(robot, seed, count=3):
     return obstacles
 
 
+def random_obstacle(random, name='o', low=-0.6, high=0.6):
+    """Return an obstacle of any shape that moves and turns, somewhere in a cube."""
+    quaternion = random.normal(size=4)
+    place = {'orientation': quaternion / np.linalg.norm(quaternion),
+             'velocity': random.uniform(-0.3, 0.3, 3),
+             'angular_velocity': random.uniform(-0.5, 0.5, 3)}
+    center, half = random.uniform(low, high, 3), random.uniform(0.03, 0.2, 3)
+    make = [lambda: Obstacle(name, center, half, **place),
+            lambda: Obstacle.box(name, center, 2.0 * half, **place),
+            lambda: Obstacle.cylinder(name, center, half[0], 2.0 * half[1], **place),
+            lambda: Obstacle.capsule(name, center, half[0], half[1], **place)]
+    return make[random.integers(len(make))]()
+
+
+def mixed_scene(seed, count=3):
+    """Return obstacles of all shapes around an arm."""
+    random = np.random.default_rng(seed)
+    return [random_obstacle(random, f'o{i}') for i in range(count)]
+
+
 def drive(planner, q, twist, scene=NOTHING, seconds=1.0, dt=DT, ahead=None):
     """Integrate the closed loop; return the postures and results of every tick."""
     postures, results = [np.array(q, dtype=float)], []
@@ -36,7 +56,7 @@ def drive(planner, q, twist, scene=NOTHING, seconds=1.0, dt=DT, ahead=None):
 
 
 def smallest_level(robot, postures, scene):
-    maps = inflated_ellipsoids(scene, [c.radius for c in robot.capsules])
+    maps = inflated_obstacles(scene, [c.radius for c in robot.capsules])
     levels = []
     for q in postures:
         arm = robot.kinematics(q)

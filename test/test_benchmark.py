@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -33,7 +33,7 @@ def test_a_seed_gives_the_same_task_and_its_start_is_clear(panda, moving):
         np.testing.assert_array_equal(task.twist, again.twist)
         assert 1 <= len(task.obstacles) <= 3
         arm = panda.kinematics(task.start)
-        maps = inflated_ellipsoids(
+        maps = inflated_obstacles(
             Scene.of(task.obstacles), [c.radius + 0.03 for c in panda.capsules])
         pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
         assert pairs.normalized_distance.min() > 0.0
@@ -172,7 +172,7 @@ def test_the_loops_obstacles_leave_the_start_free():
     for frame in frames:
         assert book.update(frame, 0.0) == []
         arm = robot.kinematics(loop._STARTS['panda'])
-        maps = inflated_ellipsoids(book.scene, [c.radius for c in robot.capsules])
+        maps = inflated_obstacles(book.scene, [c.radius for c in robot.capsules])
         pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
         assert pairs.normalized_distance.min() > 0.0
 

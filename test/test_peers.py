@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
@@ -54,7 +54,7 @@ def test_they_follow_the_path_and_stop_at_the_obstacle(library):
             pose = integrate(pose, np.array([0.1, 0, 0, 0, 0, 0]), 0.004, False)
             posture = posture + 0.004 * peer.step(posture, pose, 0.004)
             now = robot.kinematics(posture)
-            maps = inflated_ellipsoids(Scene.of([ball]), [c.radius for c in robot.capsules])
+            maps = inflated_obstacles(Scene.of([ball]), [c.radius for c in robot.capsules])
             closest = min(closest, link_clearance(
                 maps, now.segment_start, now.segment_end).normalized_distance.min())
         reached = np.linalg.norm(robot.kinematics(posture).tip_position - pose.position)

@@ -94,7 +94,7 @@ def _ticks(
     for _ in range(3):
         book.expire(clock[0])
         scene = book.scene
-        tally.check_finite(scene.centers, scene.rotations, scene.semi_axes, scene.velocities)
+        tally.check_finite(scene.centers, scene.rotations, scene.half_extents, scene.velocities)
         result = tally.attempt(lambda: planner.step(
             q, command.twist(10.0), book.scene, DT, command.ahead(10.0)))  # noqa: B023
         if result is None or not tally.check_finite(result.dq):

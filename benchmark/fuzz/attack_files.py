@@ -14,7 +14,8 @@ from benchmark.fuzz.tally import Tally
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.link_shapes import Fit, fitted_capsules
-from redundant_planner.io.parameter_files import read_parameter_file, settings_of, static_obstacles
+from redundant_planner.io.obstacle_entries import static_obstacles
+from redundant_planner.io.parameter_files import read_parameter_file, settings_of
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.io.scenario import load_scenario

@@ -22,7 +22,8 @@ from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.obstacle_bounds import checked
-from redundant_planner.io.parameter_files import obstacle_of, RobotParameters
+from redundant_planner.io.obstacle_entries import obstacle_of
+from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.ros_parameters import (

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, HALF_SPACE, Obstacle
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +39,7 @@ def motion_picture(
         robot: the arm.
         times: (k,) [s].
         positions, velocities: (k, n).
-        obstacles: the ellipsoids.
+        obstacles: what it moves among.
         title: above it all.
     """
     figure = Figure(figsize=(13.0, 6.5), layout='constrained')
@@ -74,7 +74,7 @@ def draw_arm(
         axes: 3-D axes.
         robot: the arm.
         postures: (k, n).
-        obstacles: the ellipsoids.
+        obstacles: what it moves among.
     """
     corners = []
     for i, q in enumerate(postures):
@@ -86,7 +86,10 @@ def draw_arm(
     u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 24), np.linspace(0, np.pi, 12))
     sphere = np.stack((np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)), axis=-1)
     for obstacle in obstacles:
-        surface = (sphere * obstacle.semi_axes) @ obstacle.rotation.T + obstacle.center
+        if obstacle.shape == HALF_SPACE:
+            continue
+        own = stretched(sphere, obstacle.shape, obstacle.half_extents)
+        surface = own @ obstacle.rotation.T + obstacle.center
         axes.plot_surface(*np.moveaxis(surface, -1, 0), color=OBSTACLE_COLOR, alpha=0.6,
                           linewidth=0)
         corners.append(surface.reshape(-1, 3))
@@ -119,7 +122,7 @@ def three_views(
         path: PNG or SVG file to write.
         robot: the arm.
         positions: (k, n).
-        obstacles: the ellipsoids.
+        obstacles: what it moves among.
         title: above it all.
     """
     figure = Figure(figsize=(15.0, 5.5), layout='constrained')
@@ -193,6 +196,25 @@ def robot_picture(
         set_equal_axes(axes, extent)
         axes.view_init(elev=elevation, azim=azimuth)
     figure.savefig(path, dpi=110)
+
+
+def stretched(ball: Array, shape: str, half_extents: Array) -> Array:
+    """Return the points of an obstacle's surface in its own axes [m].
+
+    Args:
+        ball: (..., 3) points of the unit ball's surface, each of which becomes one.
+        shape, half_extents: of the obstacle.
+    """
+    if shape == BOX:
+        return ball / np.abs(ball).max(axis=-1, keepdims=True) * half_extents
+    if shape == CYLINDER:
+        around = np.linalg.norm(ball[..., :2], axis=-1, keepdims=True)
+        return ball / np.maximum(around, np.abs(ball[..., 2:])) * half_extents
+    if shape == CAPSULE:
+        radius = half_extents[0]
+        apart = np.array((0.0, 0.0, half_extents[2] - radius))
+        return ball * radius + np.sign(ball[..., 2:]) * apart
+    return ball * half_extents
 
 
 def capsule_surface(

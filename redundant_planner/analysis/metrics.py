@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.obstacles.clearance import link_clearance, pseudo_distance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
@@ -81,10 +81,10 @@ def smallest_clearance(
         return best
     if points == 'links':
         names = [c.name for c in robot.capsules]
-        maps = inflated_ellipsoids(scene, [c.radius for c in robot.capsules])
+        maps = inflated_obstacles(scene, [c.radius for c in robot.capsules])
     else:
         names = [*robot.joint_names, robot.tip_frame]
-        maps = inflated_ellipsoids(scene, np.zeros(robot.n + 1))
+        maps = inflated_obstacles(scene, np.zeros(robot.n + 1))
     for i, q in enumerate(positions):
         if points == 'links':
             arm = robot.kinematics(q)

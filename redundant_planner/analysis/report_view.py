@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.analysis.figures import capsule_surface
+from redundant_planner.analysis.figures import capsule_surface, stretched
 from redundant_planner.analysis.results import Analysis, scene_at
+from redundant_planner.core.obstacles.obstacle import SHAPES
 from redundant_planner.core.obstacles.scene import Scene
 
 Array = npt.NDArray[np.float64]
@@ -51,7 +52,7 @@ def view_of(analysis: Analysis) -> dict[str, Any]:
         rows = near[id(scene)]
         # As many in every scene: those that are missing are points at the origin.
         grids = np.zeros((width, _BALL_RIBS * _BALL_SIDES, 3))
-        grids[:len(rows)] = _ellipsoids(scene, rows)
+        grids[:len(rows)] = _surfaces(scene, rows)
         packed = packed_numbers(grids)
         if packed not in drawn:
             drawn[packed] = len(drawn)
@@ -84,7 +85,7 @@ def nearest_obstacles(scene: Scene, corners: Array, most: int) -> npt.NDArray[np
     """Return which obstacles are drawn around an arm's points (k, 3): the nearest ones."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     extent = float((high - low).max()) + 1e-3
-    sizes = scene.semi_axes.max(axis=1, initial=0.0)
+    sizes = scene.half_extents.max(axis=1, initial=0.0)
     with np.errstate(over='ignore'):
         outside = np.maximum(np.maximum(low - scene.centers, scene.centers - high), 0.0)
         away = np.linalg.norm(outside, axis=1) - sizes
@@ -92,9 +93,11 @@ def nearest_obstacles(scene: Scene, corners: Array, most: int) -> npt.NDArray[np
     return np.sort(candidates[np.argsort(away[candidates], kind='stable')[:most]])
 
 
-def _ellipsoids(scene: Scene, rows: npt.NDArray[np.intp]) -> Array:
+def _surfaces(scene: Scene, rows: npt.NDArray[np.intp]) -> Array:
     """Return grids of points like that of `capsule_surface` on obstacles, (k, u v, 3)."""
     ball = capsule_surface(
         np.zeros(3), np.zeros(3), 1.0, _BALL_RIBS, _BALL_SIDES).reshape(-1, 3)
-    scaled = ball * scene.semi_axes[rows, None]
+    scaled = np.empty((len(rows), len(ball), 3))
+    for place, row in enumerate(rows.tolist()):
+        scaled[place] = stretched(ball, SHAPES[scene.shapes[row]], scene.half_extents[row])
     return scaled @ scene.rotations[rows].transpose(0, 2, 1) + scene.centers[rows, None]

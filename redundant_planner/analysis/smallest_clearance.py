@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
 from redundant_planner.core.obstacles.clearance import link_clearance, pseudo_distance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids, InflatedEllipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles, InflatedObstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
 
@@ -29,7 +29,7 @@ class SmallestClearance:
         """Begin without a posture."""
         self._robot = robot
         self._radii = np.array([capsule.radius for capsule in robot.capsules])
-        self._maps: tuple[Scene, InflatedEllipsoids] | None = None
+        self._maps: tuple[Scene, InflatedObstacles] | None = None
         self.smallest: metrics.Clearance | None = None
         self.distance = np.inf
 
@@ -45,7 +45,7 @@ class SmallestClearance:
         if not scene.names or not len(self._radii):
             return result
         if self._maps is None or self._maps[0] is not scene:
-            self._maps = scene, inflated_ellipsoids(scene, self._radii)
+            self._maps = scene, inflated_obstacles(scene, self._radii)
         maps = self._maps[1]
         step = max(_BLOCK // (len(self._radii) * len(scene.names)), 1)
         for begin in range(0, len(postures), step):

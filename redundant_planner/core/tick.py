@@ -14,8 +14,8 @@ import numpy.typing as npt
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.kernels import entry, kernel, OutVector, Vector
 from redundant_planner.core.obstacles.evasion import Turn
-from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
-from redundant_planner.core.obstacles.near_pairs import near_pairs, NearPairs
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
+from redundant_planner.core.obstacles.near_pairs import but_walls, near_pairs, NearPairs
 from redundant_planner.core.obstacles.self_collision import near_links, SelfPairs
 from redundant_planner.core.redundancy import criteria, null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
@@ -52,14 +52,14 @@ class World(NamedTuple):
     """What a tick knows of the world, and of the time ahead.
 
     Attributes:
-        ellipsoids: the obstacles that can matter.
+        obstacles: the obstacles that can matter.
         range_at, ranges: how far all others are, see `Surroundings`.
         turn: of the first joints, out of an obstacle's course.
         path: (n,) velocity of the joint path ahead; anything where it is not followed.
         guided: share of the homogeneous solution that follows it.
     """
 
-    ellipsoids: InflatedEllipsoids
+    obstacles: InflatedObstacles
     range_at: Vector
     ranges: Vector
     turn: Turn
@@ -187,7 +187,7 @@ def wish(
     gains: Gains,
 ) -> Wish:
     """Return J⁺ẋ + k P∇H, and the barriers around it."""
-    arm, ellipsoids, scaling, dt = start.arm, world.ellipsoids, constants.scaling, start.dt
+    arm, obstacles, scaling, dt = start.arm, world.obstacles, constants.scaling, start.dt
 
     # ẋ: the command plus the feedback to the reference pose.
     task = task_of(start, constants, gains)
@@ -205,7 +205,7 @@ def wish(
     can = pace(start.previous, limits, constants, gains.clearance_gain, dt)
     links = Links(arm.segment_start, arm.segment_end, arm.joint_screws, constants.supports)
     near = near_pairs(
-        ellipsoids, links, can.link_speeds, can.rate, gains.clearance_influence_distance,
+        obstacles, links, can.link_speeds, can.rate, gains.clearance_influence_distance,
         unseen_distances(arm.q, constants.lever_arm_bounds, world.range_at, world.ranges))
     self_pairs = SelfPairs(constants.radii, constants.self_pairs, constants.self_supports,
                            constants.self_lever_arm_bounds)
@@ -214,7 +214,7 @@ def wish(
 
     # k P∇H, Eqs. 2 and 18.
     level, clearance = criteria.clearance_index(
-        near.normalized_distance, near.distance, near.gradient, gains.clearance_smoothing,
+        *but_walls(near, obstacles), gains.clearance_smoothing,
         gains.clearance_influence_distance)
     factor, homogeneous = 1.0, np.zeros(len(scaling))
     if world.guided < 1.0:
@@ -229,11 +229,11 @@ def wish(
     dq = least_norm + homogeneous  # Eq. 1
 
     # The barriers. To evade, any null-space speed is better than leaving the path.
-    intruded, turn = rows.is_intruded(near, world.turn), world.turn
+    intruded, turn = rows.is_intruded(near, obstacles, world.turn), world.turn
     room = rows.room_for(
         len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 2, len(dq))
     found = barriers_in_compiled(room, len(room.gradient))
-    at = rows.obstacle_rows(found, 0, near, ellipsoids, gains.clearance_lead)
+    at = rows.obstacle_rows(found, 0, near, obstacles, gains.clearance_lead)
     at = rows.turn_rows(found, at, turn, limits.velocity_max)
     at = rows.link_rows(found, at, own, constants)
     at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)

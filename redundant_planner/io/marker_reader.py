@@ -27,16 +27,19 @@ from redundant_planner.io.cdr import (
 Array = npt.NDArray[np.float64]
 
 # The numbers of visualization_msgs/Marker that count here; MODIFY is the same as ADD.
-CUBE, SPHERE, CYLINDER = 1, 2, 3
+CUBE, SPHERE, CYLINDER, LINE_STRIP, LINE_LIST, CUBE_LIST, SPHERE_LIST, POINTS = range(1, 9)
 ADD, DELETE, DELETEALL = 0, 2, 3
 
 # Markers that a message may have.
 MOST_MARKERS = 20_000
 
 # What the walk finds of a marker, in words of the payload: where it begins, where the characters
-# of its frame and namespace are and their number of bytes, and where the other fields are.
-_BEGIN, _FRAME, _FRAME_LENGTH, _NAMESPACE, _NAMESPACE_LENGTH, _NUMBERS, _POSE, _LIFETIME = range(8)
+# of its frame and namespace are and their number of bytes, where the other fields are, and how
+# many points it has.
+(_BEGIN, _FRAME, _FRAME_LENGTH, _NAMESPACE, _NAMESPACE_LENGTH, _NUMBERS, _POSE, _LIFETIME, _POINTS,
+ _POINT_COUNT, _COLUMNS) = range(11)
 _POSE_WORDS, _COLOR_WORDS = 20, 4  # position, orientation and scale; colour
+_NO_POINTS: Array = np.empty((0, 3))
 
 
 class Listing(NamedTuple):
@@ -64,6 +67,7 @@ class Markers(NamedTuple):
         quaternions: (k, 4) x y z w.
         scales: (k, 3) full extents [m].
         lifetimes: (k,) [s], 0 for unlimited.
+        points: k arrays (p, 3), what markers that list many things have [m].
     """
 
     listing: Listing
@@ -72,6 +76,7 @@ class Markers(NamedTuple):
     quaternions: Array
     scales: Array
     lifetimes: Array
+    points: list[Array]
 
 
 class MarkerReader:
@@ -101,7 +106,7 @@ class MarkerReader:
         pose = _poses(doubles, found)
         return Markers(
             self._last[2], _seconds(words, found[:, _BEGIN]), pose[:, :3], pose[:, 3:7],
-            pose[:, 7:], _seconds(words, found[:, _LIFETIME]))
+            pose[:, 7:], _seconds(words, found[:, _LIFETIME]), _points(doubles, found))
 
 
 def _count(raw: bytes, order: str) -> int:
@@ -119,7 +124,7 @@ def _count(raw: bytes, order: str) -> int:
 
 
 def _found(words: npt.NDArray[np.intp], size: int, count: int) -> npt.NDArray[np.intp]:
-    """Return where the markers of a payload of `size` bytes have what (k, 8).
+    """Return where the markers of a payload of `size` bytes have what (k, `_COLUMNS`).
 
     Raises:
         StateError: the payload ends within a marker, or a name is too long.
@@ -156,7 +161,7 @@ def _after(words: Indices, at: int, alignment: int, size: int) -> int:
 @compiled
 def _walk(words: Indices, size: int, count: int) -> Indices:
     """Return what `_found` does, of the markers that the payload does not end within."""
-    found = np.empty((count, 8), np.intp)
+    found = np.empty((count, _COLUMNS), np.intp)
     at, end = 1, len(words)
     for i in range(count):
         marker = found[i]
@@ -169,6 +174,8 @@ def _walk(words: Indices, size: int, count: int) -> Indices:
         marker[_POSE] = at + 3 + (at + 3) % 2
         marker[_LIFETIME] = marker[_POSE] + _POSE_WORDS + _COLOR_WORDS
         at = marker[_LIFETIME] + 3  # with frame_locked
+        marker[_POINTS] = at + 1 + (at + 1) % 2
+        marker[_POINT_COUNT] = words[at] if at < end else 0
         at = _after(words, at, 2, 24)  # points
         at = _after(words, at, 1, 16)  # colors
         at = _after(words, at, 1, 1)  # texture_resource
@@ -196,6 +203,15 @@ def _poses(doubles: Vector, found: IndexPairs) -> Vector:
         for j in range(_POSE_WORDS // 2):
             poses[i, j] = doubles[found[i, _POSE] // 2 + j]
     return poses
+
+
+def _points(doubles: Array, found: npt.NDArray[np.intp]) -> list[Array]:
+    """Return the points of every marker."""
+    counts = found[:, _POINT_COUNT]
+    if not counts.any():
+        return [_NO_POINTS] * len(found)
+    return [doubles[at:at + 3 * count].reshape(-1, 3) for at, count in zip(
+        (found[:, _POINTS] // 2).tolist(), counts.tolist())]
 
 
 @compiled

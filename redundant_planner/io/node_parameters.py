@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from redundant_planner.core.errors import ParameterError
+from redundant_planner.core.obstacles.workspace import walls
 from redundant_planner.core.parameters import check, parameter
 
 POSITION_COMMANDS = 'position_commands'
@@ -56,12 +57,18 @@ class PlannerNodeParameters:
                     'for none. Without it a busy machine makes the period jitter.')
     static_obstacles: tuple[str, ...] = parameter(
         (), description='Names of fixed obstacles; each has the parameters '
-                        'static_obstacle.NAME.center, .semi_axes and optionally .orientation '
-                        '(x y z w).')
+                        'static_obstacle.NAME.shape (ellipsoid, box, cylinder, capsule), .size '
+                        '(full extents) and .pose (x y z, and roll pitch yaw or a quaternion '
+                        'x y z w). See docs/obstacles.md.')
+    workspace: tuple[float, ...] = parameter(
+        (), low=-1e6, high=1e6, unit='m', runtime=True,
+        description='Walls that no link crosses: x_min, y_min, z_min, x_max, y_max, z_max in the '
+                    'base frame. Links that start beyond a wall may come in, not go further out.')
 
     def __post_init__(self) -> None:
         """Check every value."""
         check(self)
+        walls(self.workspace)
 
 
 @dataclass(frozen=True)

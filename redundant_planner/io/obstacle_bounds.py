@@ -12,7 +12,8 @@ from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.kernels import compiled, Indices, Matrix, Vector
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
-from redundant_planner.io.marker_reader import ADD, CUBE, CYLINDER, Markers, SPHERE
+from redundant_planner.io.marker_reader import ADD, Listing, Markers
+from redundant_planner.io.marker_shapes import count_of, LISTS, SINGLE
 
 Array = npt.NDArray[np.float64]
 
@@ -21,6 +22,8 @@ Array = npt.NDArray[np.float64]
 FARTHEST = 1e6
 SMALLEST, LARGEST = 1e-6, 1e6
 _QUATERNION_TOLERANCE = 0.01
+_TYPES = {**SINGLE, **LISTS}
+_MESH_RESOURCE = 10
 # What `faults` returns.
 GOOD, _BAD_SCALE, _BAD_PLACE, _BAD_TURN, _BAD_LIFETIME = range(5)
 
@@ -34,10 +37,10 @@ def checked(obstacles: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
     obstacles = tuple(obstacles)
     scene = Scene.of(obstacles)
     ahead = np.tile((0.0, 0.0, 0.0, 1.0), (len(obstacles), 1))
-    found = faults(scene.centers, ahead, 2.0 * scene.semi_axes, np.zeros(len(obstacles)), 0)
+    found = faults(scene.centers, ahead, 2.0 * scene.half_extents, np.zeros(len(obstacles)), 0)
     for i in np.flatnonzero(found)[:1]:
         raise ObstacleError(f'obstacle {scene.names[i]!r} ' + _fault_text(
-            int(found[i]), scene.centers[i], ahead[i], 2.0 * scene.semi_axes[i], 0.0))
+            int(found[i]), scene.centers[i], ahead[i], 2.0 * scene.half_extents[i], 0.0))
     return obstacles
 
 
@@ -93,17 +96,48 @@ def problem_of(markers: Markers, place: int, fault: int, reasons: Mapping[str, s
         reasons: frame → why its markers cannot be used.
     """
     listing = markers.listing
-    kind, action, frame = listing.types[place], listing.actions[place], listing.frames[place]
-    namespace, number = listing.namespaces[place], listing.ids[place]
-    name = f'{namespace}/{number}' if namespace else str(number)
+    kind, action, frame = int(listing.types[place]), listing.actions[place], listing.frames[place]
     if action != ADD:
         what = f'has action {action}; it must be ADD, DELETE or DELETEALL'
-    elif kind not in (SPHERE, CUBE, CYLINDER):
-        what = (f'is a marker of type {kind}; it must be SPHERE ({SPHERE}), CUBE ({CUBE}) or '
-                f'CYLINDER ({CYLINDER})')
+    elif kind == _MESH_RESOURCE:
+        what = ('is a mesh, MESH_RESOURCE (10), which is not read; send boxes, cylinders or '
+                'capsules around it')
+    elif kind not in _TYPES.values():
+        what = (f'is a marker of type {kind}; it must be '
+                + ', '.join(f'{name} ({number})' for name, number in _TYPES.items()))
     elif frame in reasons:
         what = f'is given in frame {frame!r}; {reasons[frame]}'
     else:
         what = _fault_text(fault, markers.positions[place], markers.quaternions[place],
                            markers.scales[place], markers.lifetimes[place])
-    return f'obstacle {name!r} {what}'
+    return f'obstacle {_name(listing, place)!r} {what}'
+
+
+def problem_of_list(
+    markers: Markers, place: int, center: Array, axes: Array, room: int,
+) -> str:
+    """Return the sentence about a marker whose list of obstacles cannot be used, '' if it can.
+
+    Args:
+        markers: of the message.
+        place: the marker's in the message.
+        center, axes: (3,), (3, 3) its pose in the base frame.
+        room: how many obstacles more can be kept.
+    """
+    points, what = markers.points[place], ''
+    count = count_of(markers, place)
+    with np.errstate(invalid='ignore', over='ignore'):
+        good = np.abs(points @ axes.T + center) <= FARTHEST
+    if not good.all():
+        bad = int(np.flatnonzero(~good.all(axis=1))[0])
+        what = (f'has its point {bad} at {points[bad].tolist()}; it takes finite numbers up to '
+                f'{FARTHEST:g} m')
+    elif count > room:
+        what = f'lists {count} things; there is room for {max(room, 0)} more'
+    return f'obstacle {_name(markers.listing, place)!r} {what}' if what else ''
+
+
+def _name(listing: Listing, place: int) -> str:
+    """Return what a marker's obstacle is called."""
+    namespace, number = listing.namespaces[place], listing.ids[place]
+    return f'{namespace}/{number}' if namespace else str(number)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import compress, count, islice, repeat
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,21 +11,20 @@ import numpy.typing as npt
 
 from redundant_planner.core.errors import known, ObstacleError, StateError
 from redundant_planner.core.obstacles import motion_estimate
-from redundant_planner.core.obstacles.motion_estimate import Sightings, Tracks, unseen
+from redundant_planner.core.obstacles.motion_estimate import Sightings, unseen
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import rotations, Scene
 from redundant_planner.io.marker_reader import (
     ADD,
-    CUBE,
-    CYLINDER,
     DELETE,
     DELETEALL,
     Listing,
     MarkerReader,
     Markers,
-    SPHERE,
 )
-from redundant_planner.io.obstacle_bounds import checked, faults, GOOD, problem_of
+from redundant_planner.io.marker_shapes import lists_many, shaped, single, sizes, things_of
+from redundant_planner.io.obstacle_bounds import checked, faults, GOOD, problem_of, problem_of_list
+from redundant_planner.io.obstacle_lists import ObstacleLists
 
 Array = npt.NDArray[np.float64]
 # A frame's origin (3,) and axes (3, 3) in the base frame.
@@ -37,11 +35,6 @@ MOST_OBSTACLES = 20_000
 # Frames besides the base's that the markers of one message may use.
 MOST_FRAMES = 20
 
-# Half extents → semi-axes of the smallest ellipsoid around the shape, by the marker's type.
-_ENCLOSING = np.full((4, 3), np.nan)
-_ENCLOSING[SPHERE] = 1.0
-_ENCLOSING[CUBE] = math.sqrt(3.0)
-_ENCLOSING[CYLINDER] = math.sqrt(1.5), math.sqrt(1.5), math.sqrt(3.0)
 # Problems of one message that are spelt out.
 _SPELT_OUT = 3
 
@@ -55,13 +48,13 @@ class _KnownListing(NamedTuple):
         listing: of the message.
         first: the first marker after the last DELETEALL.
         rows: (k,) of the markers from there on, all of them ADD.
-        factors: (k, 3) half extents → semi-axes.
+        types: (k,) theirs, none of which lists many obstacles.
     """
 
     listing: Listing
     first: int
     rows: npt.NDArray[np.intp]
-    factors: Array
+    types: npt.NDArray[np.intp]
 
 
 class ObstacleTracker:
@@ -93,6 +86,7 @@ class ObstacleTracker:
         self._index: dict[tuple[str, int], int] = {}
         self._names: tuple[str, ...] = ()
         self._tracks = unseen(0)
+        self._lists = ObstacleLists()
         self._reader = MarkerReader()
         self._known: _KnownListing | None = None
         self._changed = False
@@ -144,9 +138,11 @@ class ObstacleTracker:
         if now < self._next_change:
             return
         self._keep(self._tracks.expiry > now)
+        self._changed = self._lists.expire(now) or self._changed
         self._changed = motion_estimate.stop_silent(self._tracks, now) or self._changed
         self._rebuild()
-        self._next_change = motion_estimate.next_change(self._tracks)
+        self._next_change = min(
+            motion_estimate.next_change(self._tracks), self._lists.next_change)
 
     def _move_known(self, same: _KnownListing, markers: Markers, now: float) -> None:
         """Apply a message with the same obstacles as before, somewhere else."""
@@ -157,18 +153,18 @@ class ObstacleTracker:
         self._take_in(Sightings(
             same.rows, np.zeros(len(same.rows), np.intp),
             np.ascontiguousarray(markers.positions[part]), rotations(markers.quaternions[part]),
-            0.5 * markers.scales[part] * same.factors, markers.stamps[part],
+            *shaped(same.types, markers.scales[part]), markers.stamps[part],
             markers.lifetimes[part]), now)
 
     def _apply(self, markers: Markers, now: float) -> list[str]:
         """Apply markers that may do anything to any obstacle; return a sentence per problem."""
         listing = markers.listing
-        actions = listing.actions
+        actions, types = listing.actions, listing.types
         centers, axes = markers.positions.copy(), rotations(markers.quaternions)
         reasons = self._into_base(listing, centers, axes)
-        shaped = (listing.types >= CUBE) & (listing.types <= CYLINDER)
-        found = faults(centers, markers.quaternions, markers.scales, markers.lifetimes, 0)
-        good = (actions == ADD) & shaped & (found == GOOD)
+        full = sizes(types, markers.scales)
+        found = faults(centers, markers.quaternions, full, markers.lifetimes, 0)
+        good = (actions == ADD) & (single(types) | lists_many(types)) & (found == GOOD)
         if reasons:
             good &= np.array([frame not in reasons for frame in listing.frames])
         bad = np.flatnonzero(~good & (actions != DELETE) & (actions != DELETEALL))
@@ -181,22 +177,63 @@ class ObstacleTracker:
         first = int(np.flatnonzero(actions == DELETEALL).max(initial=-1)) + 1
         if first:
             self._keep(np.zeros(len(self._index), dtype=bool))
-        acting = good | (actions == DELETE)
+            self._changed = self._lists.clear() or self._changed
+        adds = good & single(types)
+        acting = adds | (actions == DELETE)
         acting[:first] = False
         places = np.flatnonzero(acting)
-        rows, lost = self._rows_of(listing, places, good[places])
+        rows, lost = self._rows_of(listing, places, adds[places])
         if lost:
             problems.append(f'{lost} obstacles are too many: up to {MOST_OBSTACLES} are kept')
         places, rows = places[rows >= 0], rows[rows >= 0]
-        factors = _ENCLOSING[np.where(shaped, listing.types, 0)[places]]
         self._take_in(Sightings(
             rows, (actions[places] == DELETE).astype(np.intp), centers[places], axes[places],
-            0.5 * markers.scales[places] * factors, markers.stamps[places],
+            *shaped(types[places], full[places]), markers.stamps[places],
             markers.lifetimes[places]), now)
+        lists = good & lists_many(types)
+        lists[:first] = False
+        if lists.any() or self._lists.count:
+            problems += self._take_lists(markers, lists | acting, centers, axes, now)
         self._keep(self._tracks.expiry > -np.inf)
-        if good[first:].all() and len(rows) == len(actions) - first and all(
+        if adds[first:].all() and len(rows) == len(actions) - first and all(
                 frame in self._frames for frame in set(listing.frames)):
-            self._known = _KnownListing(listing, first, rows, factors)
+            self._known = _KnownListing(listing, first, rows, types[places])
+        return problems
+
+    def _take_lists(
+        self, markers: Markers, acting: npt.NDArray[np.bool_], centers: Array, axes: Array,
+        now: float,
+    ) -> list[str]:
+        """Take markers that list many obstacles, and drop lists whose names stand for others now.
+
+        Args:
+            markers: of the message.
+            acting: (k,) which of them are good.
+            centers, axes: (k, 3), (k, 3, 3) their poses in the base frame.
+            now: [s].
+
+        Returns:
+            A sentence per problem.
+        """
+        listing, problems = markers.listing, []
+        last = {(listing.namespaces[i], int(listing.ids[i])): i
+                for i in np.flatnonzero(acting).tolist()}
+        for key, place in last.items():
+            if listing.actions[place] == DELETE or not lists_many(listing.types[place]):
+                self._changed = self._lists.remove(key) or self._changed
+                continue
+            room = MOST_OBSTACLES - len(self._index) - self._lists.count
+            problem = problem_of_list(markers, place, centers[place], axes[place], room)
+            if problem:
+                problems.append(problem)
+                continue
+            life = float(markers.lifetimes[place])
+            self._lists.put(key, things_of(markers, place, centers[place], axes[place]),
+                            now + life if life > 0.0 else np.inf)
+            if key in self._index:
+                self._tracks.expiry[self._index[key]] = -np.inf
+            self._changed = True
+        self._next_change = min(self._next_change, self._lists.next_change)
         return problems
 
     def _take_in(self, sightings: Sightings, now: float) -> None:
@@ -265,17 +302,17 @@ class ObstacleTracker:
         self._changed, self._known = True, None
         self._names += tuple([f'{name}/{number}' if name else str(number)
                               for name, number in islice(self._index, len(self._names), None)])
-        self._tracks = Tracks(*map(np.concatenate, zip(self._tracks, unseen(more))))
+        self._tracks = motion_estimate.appended(self._tracks, more)
 
     def _keep(self, keep: npt.NDArray[np.bool_]) -> None:
         """Drop the obstacles that are not marked (k,)."""
         if keep.all():
             return
         self._changed, self._known = True, None
-        kept = keep.tolist()
-        self._index = dict(zip(compress(self._index, kept), count()))
-        self._names = tuple(compress(self._names, kept))
-        self._tracks = Tracks(*(field[keep] for field in self._tracks))
+        marks = keep.tolist()
+        self._index = dict(zip(compress(self._index, marks), count()))
+        self._names = tuple(compress(self._names, marks))
+        self._tracks = motion_estimate.kept(self._tracks, keep)
 
     def _rebuild(self) -> None:
         """Make a new scene, if anything has changed since the last one."""
@@ -283,9 +320,17 @@ class ObstacleTracker:
             return
         self._changed = False
         static, tracks = self._static_scene, self._tracks
-        arrays = [np.concatenate(parts) for parts in (
-            (static.centers, tracks.centers), (static.rotations, tracks.rotations),
-            (static.semi_axes, tracks.semi_axes), (static.velocities, tracks.velocities))]
+        names = static.names + self._names
+        parts = [
+            (static.shapes, static.centers, static.rotations, static.half_extents,
+             static.velocities, static.angular_velocities),
+            (tracks.shapes, tracks.centers, tracks.rotations, tracks.half_extents,
+             tracks.velocities, tracks.angular_velocities)]
+        for name, things in self._lists:
+            resting = np.zeros_like(things.centers)
+            names += (name,) * len(things.shapes)
+            parts.append((*things, resting, resting))
+        arrays = [np.concatenate(part) for part in zip(*parts)]
         for array in arrays:
             array.setflags(write=False)
-        self.scene = Scene(static.names + self._names, *arrays)
+        self.scene = Scene(names, *arrays)

@@ -10,16 +10,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from redundant_planner.core.errors import (
-    known,
-    ObstacleError,
-    ParameterError,
-    PlannerError,
-    shown,
-    unknown_names,
-)
-from redundant_planner.core.numbers import floats_of
-from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.errors import known, ParameterError, PlannerError, shown, unknown_names
 from redundant_planner.core.parameters import (
     AXES,
     check,
@@ -234,34 +225,6 @@ def entries_of(values: Mapping[str, Any], what: str) -> dict[str, Mapping[str, A
         raise ParameterError(f"parameter '{what}' is {shown(entries)}; it must hold names, and "
                              f'under each the keys of that {what.replace("_", " ")}')
     return {str(name): entry for name, entry in entries.items()}
-
-
-def obstacle_of(name: str, entry: Mapping[str, Any]) -> Obstacle:
-    """Return an obstacle from its entry in a parameter or scenario file.
-
-    Raises:
-        ObstacleError, ParameterError: with what is wrong.
-    """
-    check_keys(f"obstacle '{name}'", entry, ('center', 'semi_axes'),
-               ('orientation', 'velocity', 'name'))
-    arrays = {}
-    for key in entry:
-        if key != 'name':
-            arrays[key] = floats_of(entry[key])
-            if arrays[key].ndim != 1:
-                raise ObstacleError(f"obstacle '{name}': {key} is {shown(entry[key])}; it takes "
-                                    'a list of numbers')
-    return Obstacle(name, **arrays)
-
-
-def static_obstacles(values: Mapping[str, Any]) -> list[Obstacle]:
-    """Return the static obstacles among parameter values.
-
-    Raises:
-        ObstacleError, ParameterError: with what is wrong.
-    """
-    return [obstacle_of(name, entry)
-            for name, entry in entries_of(values, 'static_obstacle').items()]
 
 
 def check_keys(

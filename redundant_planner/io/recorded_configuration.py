@@ -9,7 +9,9 @@ import yaml
 
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.obstacles.obstacle import Obstacle
-from redundant_planner.io.parameter_files import parameter_values, static_obstacles
+from redundant_planner.core.obstacles.workspace import walls
+from redundant_planner.io.obstacle_entries import static_obstacles
+from redundant_planner.io.parameter_files import parameter_values
 from redundant_planner.io.renamed_parameters import translated
 
 # A configuration with its URDF has 0.1 MB, some thousand values and a depth of 5.
@@ -75,4 +77,13 @@ def recorded_obstacles(values: dict[str, Any], notes: list[str]) -> list[Obstacl
         return static_obstacles(values)
     except Exception as error:  # a bag may hold anything, and is analysed all the same
         notes.append(f'the static obstacles of the recorded configuration are unusable: {error}')
+        return []
+
+
+def recorded_walls(values: dict[str, Any], notes: list[str]) -> list[Obstacle]:
+    """Return the walls of a recorded configuration's workspace; none if they are unusable."""
+    try:
+        return list(walls([float(number) for number in values.get('workspace', ())]))
+    except Exception as error:  # as above
+        notes.append(f'the workspace of the recorded configuration is unusable: {error}')
         return []

@@ -14,12 +14,8 @@ from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.numbers import floats_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.robot.urdf import LARGEST, read_urdf
-from redundant_planner.io.parameter_files import (
-    check_keys,
-    obstacle_of,
-    read_robot_parameters,
-    urdf_text,
-)
+from redundant_planner.io.obstacle_entries import obstacle_of
+from redundant_planner.io.parameter_files import check_keys, read_robot_parameters, urdf_text
 from redundant_planner.io.resources import read_text, resolve, yaml_content
 
 if TYPE_CHECKING:
@@ -41,7 +37,7 @@ class Scenario:
         times: (k,) ascending from 0 [s]; the last one ends the motion.
         twists: (k, 6) [m/s, rad/s] in the robot's command frame.
         linear: whether the twist is interpolated between the times or held until the next.
-        obstacles: the ellipsoids, in the base frame.
+        obstacles: in the base frame.
     """
 
     name: str

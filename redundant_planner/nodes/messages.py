@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import struct
 
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Point, Twist
 import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import JointState
@@ -16,13 +16,23 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import known, StateError
 from redundant_planner.core.horizon.preview import Preview
-from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.obstacle import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    HALF_SPACE,
+    Obstacle,
+)
 from redundant_planner.io.cdr import byte_order, ENCAPSULATION, header_of
 from redundant_planner.io.plausible import FASTEST, LARGEST
 
 Array = npt.NDArray[np.float64]
 
 NANOSECONDS = 1_000_000_000
+
+_MARKER_TYPES = {ELLIPSOID: Marker.SPHERE, BOX: Marker.CUBE, CYLINDER: Marker.CYLINDER,
+                 CAPSULE: Marker.LINE_LIST}
 
 
 def seconds_of(stamp: Time | Duration) -> float:
@@ -136,15 +146,26 @@ def values_of(
 
 
 def markers_of(obstacles: Sequence[Obstacle], frame: str) -> MarkerArray:
-    """Return the obstacles as SPHERE markers, numbered in their order."""
+    """Return the obstacles as markers, numbered in their order; half-spaces have none."""
     array = MarkerArray()
     for i, obstacle in enumerate(obstacles):
-        marker = Marker(ns=obstacle.name, id=i, type=Marker.SPHERE, action=Marker.ADD)
-        marker.header.frame_id = frame
-        position, quaternion, scale = marker.pose.position, marker.pose.orientation, marker.scale
-        position.x, position.y, position.z = obstacle.center.tolist()
-        quaternion.x, quaternion.y, quaternion.z, quaternion.w = obstacle.orientation.tolist()
-        scale.x, scale.y, scale.z = (2.0 * obstacle.semi_axes).tolist()
-        marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.85, 0.35, 0.2, 0.8
-        array.markers.append(marker)
+        if obstacle.shape != HALF_SPACE:
+            marker = marker_of(obstacle, (0.85, 0.35, 0.2, 0.8))
+            marker.ns, marker.id, marker.header.frame_id = obstacle.name, i, frame
+            array.markers.append(marker)
     return array
+
+
+def marker_of(obstacle: Obstacle, color: Sequence[float]) -> Marker:
+    """Return an obstacle as a marker, of a colour (r g b alpha); a capsule is a line."""
+    marker = Marker(type=_MARKER_TYPES[obstacle.shape], action=Marker.ADD)
+    position, quaternion, scale = marker.pose.position, marker.pose.orientation, marker.scale
+    position.x, position.y, position.z = obstacle.center.tolist()
+    quaternion.x, quaternion.y, quaternion.z, quaternion.w = obstacle.orientation.tolist()
+    width, scale.y, height = (2.0 * obstacle.half_extents).tolist()
+    scale.x, scale.z = width, height
+    if obstacle.shape == CAPSULE:
+        half = 0.5 * (height - width)
+        marker.points = [Point(z=-half), Point(z=half)]
+    marker.color.r, marker.color.g, marker.color.b, marker.color.a = color
+    return marker

@@ -13,9 +13,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.obstacles.clearance import surface_point
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.shapes import HALF_SPACE
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.step_result import Nearest
+from redundant_planner.nodes.messages import marker_of
 
 Array = npt.NDArray[np.float64]
 
@@ -66,9 +68,10 @@ class RobotMarkers:
         self._line.points = []
         if nearest is not None:
             link = [c.name for c in self._robot.capsules].index(nearest.link)
+            # A marker that lists many obstacles gives all of them its name.
+            rows = [i for i, name in enumerate(scene.names) if name == nearest.obstacle]
             here, there = surface_point(
-                scene, scene.names.index(nearest.obstacle), arm.segment_start[link],
-                arm.segment_end[link])
+                scene, np.array(rows), arm.segment_start[link], arm.segment_end[link])
             self._line.points = [_point(here), _point(there)]
         if reference is not None:
             self._path.append(_point(reference))
@@ -80,11 +83,13 @@ class RobotMarkers:
     def _obstacles(self, arm: Kinematics, scene: Scene) -> list[Marker]:
         away = np.linalg.norm(scene.centers - arm.tip_position, axis=1)
         markers = []
+        away[scene.shapes == HALF_SPACE] = np.inf
         for i in np.argsort(away)[:_SHOWN].tolist():
-            marker = self._marker('obstacle', i, Marker.SPHERE, _RED)
-            _place(marker, scene.centers[i], pin.Quaternion(scene.rotations[i]).coeffs())
-            marker.scale.x, marker.scale.y, marker.scale.z = (2.0 * scene.semi_axes[i]).tolist()
-            markers.append(marker)
+            if np.isfinite(away[i]):
+                marker = marker_of(scene.obstacle(i), _RED)
+                marker.ns, marker.id = 'obstacle', i
+                marker.header.frame_id = self._robot.base_frame
+                markers.append(marker)
         return markers
 
     def _marker(

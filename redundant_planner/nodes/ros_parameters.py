@@ -24,6 +24,7 @@ from redundant_planner.io.node_parameters import (
     PlannerNodeParameters,
     PlayerParameters,
 )
+from redundant_planner.io.obstacle_entries import POSE_SIZES
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.renamed_parameters import what_became_of
 from redundant_planner.nodes.disputed_parameters import disputed
@@ -31,9 +32,13 @@ from redundant_planner.nodes.rclpy_internals import given_parameters
 
 Settings = TypeVar('Settings')
 
-# The keys of a capsule and of a static obstacle, and how many numbers they take.
-CAPSULE: Mapping[str, int | str] = {'frame': 'text', 'start': 3, 'end': 3, 'radius': 1}
-STATIC_OBSTACLE: Mapping[str, int | str] = {'center': 3, 'semi_axes': 3, 'orientation': 4}
+# The keys of a capsule and of a static obstacle, and how many numbers they take: one of several,
+# or 'text' for a string.
+Size = int | str | tuple[int, ...]
+Sizes = Mapping[str, Size]
+CAPSULE: Sizes = {'frame': 'text', 'start': 3, 'end': 3, 'radius': 1}
+STATIC_OBSTACLE: Sizes = {
+    'shape': 'text', 'size': 3, 'pose': POSE_SIZES, 'center': 3, 'semi_axes': 3, 'orientation': 4}
 
 
 def declare(node: Node, settings: type[Settings]) -> Settings:
@@ -79,7 +84,7 @@ def _descriptor(entry: Field[Any]) -> ParameterDescriptor:
 
 
 def declare_entries(
-    node: Node, prefix: str, names: Iterable[str], sizes: Mapping[str, int | str], *,
+    node: Node, prefix: str, names: Iterable[str], sizes: Sizes, *,
     runtime: bool = False,
 ) -> dict[str, dict[str, Any]]:
     """Read the parameters PREFIX.NAME.KEY of a list of named things.
@@ -111,13 +116,13 @@ def declare_entries(
     return entries
 
 
-def checked_entry(name: str, value: Any, size: int | str) -> Any:
+def checked_entry(name: str, value: Any, size: Size) -> Any:
     """Return the value of a named entry.
 
     Args:
         name: of the parameter, for messages.
         value: as ROS gives it.
-        size: number of floats, or 'text' for a string.
+        size: number of floats, all that it may be, or 'text' for a string.
 
     Raises:
         ParameterError: it has the wrong type or length, or a number is not finite.
@@ -128,11 +133,13 @@ def checked_entry(name: str, value: Any, size: int | str) -> Any:
         return value
     listed = isinstance(value, Iterable) and not isinstance(value, (str, bytes, Mapping))
     items = list(value) if listed else [value]
-    if len(items) != size or not all(
+    counts = size if isinstance(size, tuple) else (size,)
+    if len(items) not in counts or not all(
             isinstance(i, (int, float)) and not isinstance(i, bool) and abs(i) < math.inf
             for i in items):
         raise ParameterError(f"parameter '{name}' is {shown(items if listed else value)}; it "
-                             f'takes {size} finite number' + ('s' if size != 1 else ''))
+                             f'takes {" or ".join(map(str, counts))} finite number'
+                             + ('s' if size != 1 else ''))
     try:
         return [float(i) for i in items] if size != 1 else float(items[0])
     except OverflowError:
@@ -179,7 +186,7 @@ def unknown_parameters(node: Node) -> list[str]:
 
 def on_change(
     node: Node, current: Callable[[], tuple[Any, ...]], apply: Callable[..., None],
-    prefix: str, sizes: Mapping[str, int | str],
+    prefix: str, sizes: Sizes,
 ) -> None:
     """Let the runtime parameters of the given dataclasses change while the node runs.
 
@@ -215,7 +222,7 @@ def changed(settings: Iterable[Any], changes: Mapping[str, Any]) -> list[Any]:
 
 
 def changed_entries(
-    prefix: str, sizes: Mapping[str, int | str], changes: Mapping[str, Any],
+    prefix: str, sizes: Sizes, changes: Mapping[str, Any],
 ) -> dict[tuple[str, str], Any]:
     """Return those changes that are of entries PREFIX.NAME.KEY, (name, key) → value.
 

@@ -9,11 +9,13 @@ from typing import Any
 from rclpy.node import Node
 
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.workspace import walls
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.obstacle_bounds import checked
-from redundant_planner.io.parameter_files import obstacle_of, RobotParameters
+from redundant_planner.io.obstacle_entries import obstacle_of
+from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.robot_files import parameter_file_text
 from redundant_planner.nodes.ros_parameters import (
     CAPSULE,
@@ -56,12 +58,14 @@ class Settings:
                             runtime=True))
 
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """Return the static obstacles.
+        """Return the static obstacles, and the walls of the workspace.
 
         Raises:
             ObstacleError, ParameterError: naming one that cannot be used.
         """
-        return checked(obstacle_of(name, entry) for name, entry in self.static_obstacles.items())
+        return checked((
+            *(obstacle_of(name, entry) for name, entry in self.static_obstacles.items()),
+            *walls(self.node.workspace)))
 
     def changed(
         self, planner: PlannerParameters, node: PlannerNodeParameters,

@@ -20,7 +20,7 @@ from redundant_planner.core.obstacles.clearance import (
     link_clearance,
     pseudo_distance,
 )
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PAPER_METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -137,15 +137,15 @@ class PaperPlanner:
         """Return H_w of Eq. 7 over the joints, and its gradient: that of the smallest S."""
         n = self.robot.n
         points = self.robot.joint_points(arm.q)
-        ellipsoids = inflated_ellipsoids(scene, np.zeros(len(points)))
-        pairs = link_clearance(ellipsoids, points, points)
+        points_only = inflated_obstacles(scene, np.zeros(len(points)))
+        pairs = link_clearance(points_only, points, points)
         rho = pairs.normalized_distance
         if not rho.size:
             return math.inf, np.zeros(n)
         at = np.unravel_index(int(rho.argmin()), rho.shape)
         smallest = float(rho[at])
         gradient, _ = clearance_gradients(
-            ellipsoids, pairs, (np.array([at[0]]), np.array([at[1]])),
+            points_only, pairs, (np.array([at[0]]), np.array([at[1]])),
             Links(points, points, arm.joint_screws, np.tril(np.ones((len(points), n)))))
         return pseudo_distance(smallest), 2.0 * (smallest + 1.0) * gradient[0]  # ∂S/∂ρ = 2 (ρ + 1)
 
@@ -158,7 +158,7 @@ class PaperPlanner:
     def _nearest(self, arm: Kinematics, scene: Scene) -> Nearest | None:
         """Return the nearest pair of whole links and obstacles, without any margin."""
         capsules = self.robot.capsules
-        pairs = link_clearance(inflated_ellipsoids(scene, [c.radius for c in capsules]),
+        pairs = link_clearance(inflated_obstacles(scene, [c.radius for c in capsules]),
                                arm.segment_start, arm.segment_end)
         if not pairs.distance.size:
             return None

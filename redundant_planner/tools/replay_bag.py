@@ -26,7 +26,7 @@ from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import read_parameter_file, settings_of
 from redundant_planner.io.printable import printable
-from redundant_planner.io.recorded_configuration import recorded_obstacles
+from redundant_planner.io.recorded_configuration import recorded_obstacles, recorded_walls
 from redundant_planner.io.recorded_inputs import as_it_is
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.paper.method import planner_of
@@ -94,7 +94,8 @@ def _rows(
     planner = planner_of(robot, parameters)
     values = inputs.values
     book = ObstacleTracker(
-        recorded_obstacles(values, inputs.notes), (), transform=as_it_is,
+        [*recorded_obstacles(values, inputs.notes), *recorded_walls(values, inputs.notes)], (),
+        transform=as_it_is,
         estimate_velocity=values.get('estimate_obstacle_velocity') is True)
     dt = 1.0 / rate_of(values)
     q: Array = ticks[0][1].q

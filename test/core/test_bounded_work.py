@@ -9,7 +9,7 @@ import pytest
 
 from redundant_planner.core.horizon import path_qp
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import MOST_ACTING, MOST_AHEAD_PAIRS
 from redundant_planner.core.obstacles.nearby import MOST_NEAR
 from redundant_planner.core.obstacles.obstacle import Obstacle
@@ -34,7 +34,7 @@ def crowd(q, count, seed, gap, size=0.03):
         center = point + away / np.linalg.norm(away) * (
             RADII[link] + size + gap + 0.3 * random.random() ** 2)
         ball = Obstacle(f'o{len(found)}', center, np.full(3, size))
-        clear = link_clearance(inflated_ellipsoids(Scene.of([ball]), RADII), arm.segment_start,
+        clear = link_clearance(inflated_obstacles(Scene.of([ball]), RADII), arm.segment_start,
                                arm.segment_end).distance
         if clear.min() > gap:
             found.append(ball)
@@ -46,7 +46,7 @@ def crowd(q, count, seed, gap, size=0.03):
 def test_an_arm_hits_none_of_more_obstacles_than_a_tick_takes_in(method, seed):
     random = np.random.default_rng(seed)
     scene = crowd(PANDA_READY, 3 * MOST_NEAR, seed, 0.03)
-    maps = inflated_ellipsoids(scene, RADII)
+    maps = inflated_obstacles(scene, RADII)
     planner, q, previous = Planner(PANDA, PlannerParameters(method=method)), PANDA_READY, 0.0
     least, fallbacks, way = np.inf, set(), 0.0
     for i in range(350):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pinocchio as pin
@@ -11,9 +14,10 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.errors import ObstacleError
+from redundant_planner.core.obstacles import shapes
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.io import obstacle_tracker
-from redundant_planner.io.obstacle_tracker import MOST_FRAMES, ObstacleTracker
+from redundant_planner.io.obstacle_tracker import MOST_FRAMES, MOST_OBSTACLES, ObstacleTracker
 
 
 def marker(number=0, at=(0.0, 0.0, 0.0), kind=Marker.SPHERE, stamp=0.0, frame='base', **fields):
@@ -30,20 +34,115 @@ def tell(book, now, *markers):
     return book.update(serialize_message(MarkerArray(markers=list(markers))), now)
 
 
-@pytest.mark.parametrize('kind', [Marker.CUBE, Marker.CYLINDER])
-def test_boxes_and_cylinders_lie_inside_their_ellipsoids_and_touch_them(kind):
+@pytest.mark.parametrize(('kind', 'scale', 'shape', 'half'), [
+    (Marker.SPHERE, (0.2, 0.4, 0.6), shapes.ELLIPSOID, (0.1, 0.2, 0.3)),
+    (Marker.CUBE, (0.2, 0.4, 0.6), shapes.BOX, (0.1, 0.2, 0.3)),
+    (Marker.CYLINDER, (0.4, 0.4, 0.6), shapes.CYLINDER, (0.2, 0.2, 0.3)),
+    (Marker.CYLINDER, (0.4, 0.398, 0.6), shapes.CYLINDER, (0.2, 0.2, 0.3)),
+    (Marker.CYLINDER, (0.2, 0.4, 0.6), shapes.BOX, (0.1, 0.2, 0.3))])
+def test_markers_are_the_shapes_that_they_show(kind, scale, shape, half):
+    book, told = ObstacleTracker([], ['base']), marker(kind=kind)
+    told.scale.x, told.scale.y, told.scale.z = scale
+    assert not tell(book, 0.0, told)
+    assert book.scene.shapes.tolist() == [shape]
+    np.testing.assert_allclose(book.scene.half_extents, [half])
+
+
+@pytest.mark.parametrize(('kind', 'shape', 'half'), [
+    (Marker.SPHERE_LIST, shapes.ELLIPSOID, (0.1, 0.2, 0.3)),
+    (Marker.CUBE_LIST, shapes.BOX, (0.1, 0.2, 0.3)),
+    (Marker.POINTS, shapes.BOX, (0.2, 0.2, 0.2))])
+def test_a_list_is_one_obstacle_at_each_of_its_points(kind, shape, half):
+    book, told = ObstacleTracker([], ['base']), marker(kind=kind, at=(1.0, 0.0, 0.0))
+    told.points = [Point(x=0.5), Point(y=0.25)]
+    o = told.pose.orientation
+    o.z, o.w = math.sqrt(0.5), math.sqrt(0.5)  # a quarter turn: x becomes y, y becomes −x
+    assert not tell(book, 0.0, told)
+    assert book.scene.names == ('o/0', 'o/0') and book.scene.shapes.tolist() == [shape] * 2
+    np.testing.assert_allclose(
+        book.scene.centers, [[1.0, 0.5, 0.0], [0.75, 0.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(book.scene.rotations[1][:, 0], [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(book.scene.half_extents, [half, half])
+
+
+@pytest.mark.parametrize(('kind', 'ends'), [
+    (Marker.LINE_STRIP, [(0, 1), (1, 2)]), (Marker.LINE_LIST, [(0, 1)])])
+def test_lines_are_capsules(kind, ends):
+    points = np.array([[0.0, 0.0, 0.0], [0.3, 0.4, 0.0], [0.3, 0.4, -0.2]])
+    book, told = ObstacleTracker([], ['base']), marker(kind=kind)
+    told.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+    assert not tell(book, 0.0, told)
+    assert book.scene.shapes.tolist() == [shapes.CAPSULE] * len(ends)
+    for i, (start, end) in enumerate(ends):
+        half = book.scene.half_extents[i]
+        np.testing.assert_allclose(half[:2], 0.1)  # half of scale.x
+        axis = (half[2] - half[0]) * book.scene.rotations[i][:, 2]
+        np.testing.assert_allclose(book.scene.centers[i] - axis, points[start], atol=1e-12)
+        np.testing.assert_allclose(book.scene.centers[i] + axis, points[end], atol=1e-12)
+
+
+def test_a_list_comes_goes_and_ends_as_a_whole():
+    def cubes(count, life=0.0):
+        told = marker(7, kind=Marker.CUBE_LIST)
+        told.points = [Point(x=float(i)) for i in range(count)]
+        told.lifetime.nanosec = round(1e9 * life)
+        return told
+
     book = ObstacleTracker([], ['base'])
-    assert not tell(book, 0.0, marker(kind=kind))
-    half = np.array([0.1, 0.2, 0.3])
-    if kind == Marker.CUBE:
-        signs = np.array(np.meshgrid((-1, 1), (-1, 1), (-1, 1))).reshape(3, -1).T
-        points = signs * half
-    else:
-        turn = np.linspace(0.0, 2.0 * np.pi, 40)
-        points = np.vstack([np.column_stack(
-            (0.1 * np.cos(turn), 0.2 * np.sin(turn), np.full(40, z))) for z in (-0.3, 0.3)])
-    levels = np.square(points / book.scene.semi_axes[0]).sum(axis=1)
-    np.testing.assert_allclose(levels, 1.0)
+    tell(book, 0.0, marker(), cubes(3))
+    assert book.scene.names == ('o/0', 'o/7', 'o/7', 'o/7')
+    tell(book, 0.1, cubes(1, life=0.5))
+    assert book.scene.names == ('o/0', 'o/7')
+    book.expire(0.5)
+    assert len(book.scene.names) == 2
+    book.expire(0.7)
+    assert book.scene.names == ('o/0',)
+    tell(book, 1.0, cubes(2))
+    tell(book, 1.1, marker(7, action=Marker.DELETE))
+    assert book.scene.names == ('o/0',)
+    # A name stands for one thing: a list becomes a sphere, a sphere a list.
+    tell(book, 1.2, cubes(2))
+    tell(book, 1.3, marker(7))
+    assert book.scene.names == ('o/0', 'o/7') and not book.scene.shapes.any()
+    tell(book, 1.4, cubes(2))
+    assert book.scene.names == ('o/0', 'o/7', 'o/7')
+    tell(book, 1.5, marker(0, action=Marker.DELETEALL))
+    assert book.scene.names == ()
+
+
+@pytest.mark.parametrize(('point', 'count', 'problem'), [
+    (math.nan, 1, 'point 1 at'), (2e6, 1, 'point 1 at'), (0.0, MOST_OBSTACLES, 'room for 2')])
+def test_a_bad_list_changes_nothing(point, count, problem, monkeypatch):
+    monkeypatch.setattr('redundant_planner.io.obstacle_tracker.MOST_OBSTACLES', 4)
+    book, told = ObstacleTracker([], ['base']), marker(7, kind=Marker.CUBE_LIST)
+    told.points = [Point(), Point()]
+    assert not tell(book, 0.0, told)
+    told.points = [Point()] + [Point(z=point)] * min(count, 9)
+    problems = tell(book, 0.1, told)
+    assert len(problems) == 1 and "'o/7'" in problems[0] and problem in problems[0]
+    assert len(book.scene.names) == 2
+
+
+def test_an_obstacle_that_turns_has_an_angular_velocity():
+    book = ObstacleTracker([], ['base'], estimate_velocity=True)
+    turned = marker(1, kind=Marker.CUBE)
+    tell(book, 0.0, marker(0), turned)
+    for one in (turned, ball := marker(0)):
+        one.pose.orientation.z, one.pose.orientation.w = math.sin(0.05), math.cos(0.05)
+    ball.scale.y = ball.scale.z = ball.scale.x
+    tell(book, 0.1, ball, turned)
+    np.testing.assert_allclose(book.scene.angular_velocities[1], [0.0, 0.0, 1.0], atol=1e-9)
+    # A ball looks the same from everywhere.
+    assert not book.scene.angular_velocities[0].any()
+    # What calls its axes differently has not turned.
+    turned.pose.orientation.z = turned.pose.orientation.w = math.sqrt(0.5)
+    tell(book, 0.2, turned)
+    assert not book.scene.angular_velocities[1].any()
+    turned.pose.orientation.z, turned.pose.orientation.w = math.sin(0.8), math.cos(0.8)
+    tell(book, 0.3, turned)
+    assert book.scene.angular_velocities[1].any()
+    book.expire(1.0)
+    assert not book.scene.angular_velocities.any()
 
 
 def test_the_velocity_comes_from_successive_poses_by_their_stamps():
@@ -178,7 +277,7 @@ def test_the_same_bounds_hold_for_static_obstacles(center, semi_axes, problem):
     book = ObstacleTracker([good], ['base'])
     with pytest.raises(ObstacleError, match=problem):
         book.static = [Obstacle('wall', np.array(center), np.array(semi_axes))]
-    assert book.static == (good,) and book.scene.semi_axes[0, 0] == 1.0
+    assert book.static == (good,) and book.scene.half_extents[0, 0] == 1.0
 
 
 @pytest.mark.parametrize('gap', [1e-9, 1e-6, 5e-4])
@@ -229,7 +328,6 @@ class Reference:
         center = np.array([p.x, p.y, p.z])
         if m.header.frame_id == 'camera':
             center = center + self.transform('camera')[0]
-        factor = {1: np.sqrt([3.0, 3.0, 3.0]), 2: np.ones(3), 3: np.sqrt([1.5, 1.5, 3.0])}[m.type]
         stamp = m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec or now
         before = self.known.get(key)
         velocity, last = np.zeros(3), stamp
@@ -242,7 +340,7 @@ class Reference:
                 if np.linalg.norm(velocity) >= 3.0:
                     velocity = np.zeros(3)
         life = m.lifetime.sec + 1e-9 * m.lifetime.nanosec
-        self.known[key] = {'center': center, 'axes': half * factor, 'velocity': velocity,
+        self.known[key] = {'center': center, 'axes': half, 'velocity': velocity,
                            'stamp': last, 'heard': now, 'end': now + life if life else np.inf}
 
     def expire(self, now):
@@ -267,7 +365,7 @@ def messages(draw, before):
             text=draw(st.sampled_from(['', 'longer']))) for _ in range(draw(st.integers(1, 5)))]
         odd = draw(st.booleans())
         for m in told:  # like a detector, or anything
-            m.type = draw(st.sampled_from([1, 2, 2, 3, 4])) if odd else Marker.SPHERE
+            m.type = draw(st.sampled_from([1, 2, 2, 3, 0])) if odd else Marker.SPHERE
             m.action = draw(st.sampled_from(ACTIONS)) if odd else Marker.ADD
             m.header.frame_id = draw(st.sampled_from(
                 ['base'] * 6 + ['camera', 'moon'])) if odd else 'base'
@@ -311,6 +409,6 @@ def test_any_sequence_of_messages_leads_where_its_markers_lead_one_by_one(data):
         assert sorted(scene.names) == sorted(known)
         for i, name in enumerate(scene.names):
             np.testing.assert_allclose(scene.centers[i], known[name]['center'], atol=1e-12)
-            np.testing.assert_allclose(scene.semi_axes[i], known[name]['axes'], rtol=1e-12)
+            np.testing.assert_allclose(scene.half_extents[i], known[name]['axes'], rtol=1e-12)
             np.testing.assert_allclose(
                 scene.velocities[i], known[name]['velocity'], rtol=1e-6, atol=1e-12)

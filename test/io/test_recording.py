@@ -50,7 +50,7 @@ def test_a_bag_gives_back_what_was_recorded(tmp_path):
     np.testing.assert_allclose(recording.states.select(('b',)).positions[:, 0],
                                0.2 * np.arange(5))
     np.testing.assert_allclose(recording.twists[:, 0], 0.1 * np.arange(5))
-    np.testing.assert_allclose(recording.obstacles[0].semi_axes, [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(recording.obstacles[0].half_extents, [0.1, 0.2, 0.3])
     assert recording.robot_description == '<robot/>'
     assert len(recording.commands.between(0.003, 0.013).times) == 3
     assert list((tmp_path / 'bag').glob('*.mcap'))

@@ -10,12 +10,12 @@ import yaml
 
 from redundant_planner.core.errors import ParameterError, PlannerError, ScenarioError
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.io.obstacle_entries import static_obstacles
 from redundant_planner.io.parameter_files import (
     known_parameters,
     parameter_values,
     read_parameter_file,
     settings_of,
-    static_obstacles,
 )
 from redundant_planner.io.recorded_configuration import configuration_of
 from redundant_planner.io.renamed_parameters import RENAMED
@@ -85,7 +85,7 @@ def test_a_profile_is_interpolated_or_held(tmp_path):
     ('interpolation: linear', 'twist: {}\nold:', r"has 'old'"),
     ('package://redundant_planner/config/robots/paper_2p5r.yaml', '5', r'robot is 5; it takes'),
     ('[1, 0, 0], semi', '[[1], 0, 0], semi', r"obstacle 'ball': center is \[\[1\], 0, 0\]"),
-    ('- {name: ball', '- 7\n  - {name: ball', r"obstacle 'obstacle0' is 7; it takes 'center'"),
+    ('- {name: ball', '- 7\n  - {name: ball', r"obstacle 'obstacle0' is 7; it takes 'shape'"),
     (GOOD, '[1, 2]', r'is not a mapping'),
     (GOOD, '{', r'cannot be read'),
 ])

@@ -97,7 +97,7 @@ def test_a_marker_is_the_ellipsoid_it_came_from():
     book, problems = book_with(marker())
     assert not problems and book.scene.names == ('ball/0',)
     np.testing.assert_allclose(book.scene.centers[0], BALL.center)
-    np.testing.assert_allclose(book.scene.semi_axes[0], BALL.semi_axes)
+    np.testing.assert_allclose(book.scene.half_extents[0], BALL.half_extents)
     np.testing.assert_allclose(book.scene.rotations[0], BALL.rotation)
 
 

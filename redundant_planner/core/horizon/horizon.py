@@ -9,7 +9,7 @@ from redundant_planner.core.horizon.least_norm_path import least_norm_path, Path
 from redundant_planner.core.horizon.multi_start import MultiStart
 from redundant_planner.core.horizon.path_qp import PathQP, Plan
 from redundant_planner.core.horizon.poses_ahead import middles, Poses
-from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
@@ -73,7 +73,7 @@ class Horizon:
         self._search.reset()
 
     def advance(
-        self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids, dt: float,
+        self, q: Array, poses: Poses, obstacles: InflatedObstacles, dt: float,
     ) -> Array | None:
         """Move the plan on by `dt`, take one step to improve it, and return its velocity (n,) now.
 
@@ -82,7 +82,7 @@ class Horizon:
         Args:
             q: (n,) where the arm is.
             poses: N, from `poses_ahead`.
-            ellipsoids: the obstacles now, for links with their margin.
+            obstacles: the obstacles now, for links with their margin.
             dt: time since the last tick [s].
         """
         self._problem.cut_short = False
@@ -91,20 +91,20 @@ class Horizon:
         if self._found is not None:
             self._found = self._moved_on(self._found, q, dt)
         self._search.pass_time(dt)
-        self._step(q, poses, ellipsoids)
+        self._step(q, poses, obstacles)
         if self._plan is None:
             return None
         return (self._plan.nodes[0] - q) * self._stiffness
 
-    def _step(self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids) -> None:
+    def _step(self, q: Array, poses: Poses, obstacles: InflatedObstacles) -> None:
         """Give one step to the plan, to the search or to what it has found."""
         self._ticks += 1
         if self._plan is None or self._ticks % (4 if self._blocked else 2) == 0:
-            self._follow(q, poses, ellipsoids)
+            self._follow(q, poses, obstacles)
         elif self._found is not None:
-            self._settle(q, poses, ellipsoids)
+            self._settle(q, poses, obstacles)
         else:
-            found = self._search.step(q, poses, ellipsoids, self._closest)
+            found = self._search.step(q, poses, obstacles, self._closest)
             if found is not None:
                 nodes, age = found
                 self._found, self._settled = self._moved_on(Plan(nodes), q, age), 0
@@ -114,11 +114,11 @@ class Horizon:
         """Whether the plan leads nowhere."""
         return self._troubled >= _LOOKS_UNTIL_BLOCKED
 
-    def _follow(self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids) -> None:
+    def _follow(self, q: Array, poses: Poses, obstacles: InflatedObstacles) -> None:
         """Take one step with the plan; start anew where that is better than mending it."""
         problem, plan = self._problem, None
         if self._plan is not None:
-            plan, local = problem.look(q, self._plan.nodes, poses, ellipsoids)
+            plan, local = problem.look(q, self._plan.nodes, poses, obstacles)
             self._troubled = 0 if plan.admissible else self._troubled + 1
             self._closest = (local.gradients[int(local.bounds.argmax())]
                              if local.bounds.size else None)
@@ -126,7 +126,7 @@ class Horizon:
                 self._plan = problem.improved(plan, local)
                 return
         nodes = least_norm_path(self._robot, q, poses, self._joints)
-        fresh, around = problem.look(q, nodes, poses, ellipsoids)
+        fresh, around = problem.look(q, nodes, poses, obstacles)
         if (plan is not None and plan.measures.error < _ERROR_TO_REPLACE
                 and fresh.price >= _COST_SHARE_TO_SWITCH * plan.price):
             self._plan = problem.improved(plan, local)
@@ -137,10 +137,10 @@ class Horizon:
         self._plan = problem.improved(fresh, around) if plan is None else fresh
         self._troubled = 0
 
-    def _settle(self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids) -> None:
+    def _settle(self, q: Array, poses: Poses, obstacles: InflatedObstacles) -> None:
         """Take one step with what a search has found; take it over if it is better."""
         assert self._found is not None and self._plan is not None
-        found, local = self._problem.look(q, self._found.nodes, poses, ellipsoids)
+        found, local = self._problem.look(q, self._found.nodes, poses, obstacles)
         self._settled += 1
         shorter = found.measures.cost < _COST_SHARE_TO_SWITCH * self._plan.measures.cost
         if self._settled >= _LEAST_SETTLING and found.admissible and (self._blocked or shorter):

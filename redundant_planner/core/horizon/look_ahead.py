@@ -16,7 +16,7 @@ from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.least_norm_path import PathJoints
 from redundant_planner.core.horizon.poses_ahead import node_times, poses_ahead
 from redundant_planner.core.horizon.preview import continued, Preview, TwistAhead
-from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy.reference import reference_of, Start
 from redundant_planner.core.robot.model import Robot
@@ -75,14 +75,14 @@ class LookAhead:
         return self._horizon is not None and self._horizon.cut_short
 
     def velocity(
-        self, start: Start, ellipsoids: InflatedEllipsoids, ahead: Preview | TwistAhead | None,
+        self, start: Start, obstacles: InflatedObstacles, ahead: Preview | TwistAhead | None,
         busy: bool,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
 
         Args:
             start: of the tick.
-            ellipsoids: the nearest obstacles.
+            obstacles: the nearest obstacles.
             ahead: see `Planner.step`.
             busy: whether the tick has other work to do that takes long.
         """
@@ -109,7 +109,7 @@ class LookAhead:
             twists = self._controlled * between(times)
         reference = reference_of(start, self._constants, self._gains)
         poses = poses_ahead(reference, twists, times, self._robot.in_tool)
-        self._velocity = horizon.advance(start.arm.q, poses, ellipsoids, elapsed)
+        self._velocity = horizon.advance(start.arm.q, poses, obstacles, elapsed)
         return self._velocity
 
     def switch(self, blocked: bool, dt: float) -> None:

@@ -21,7 +21,7 @@ from redundant_planner.core.horizon.least_norm_path import least_norm_path
 from redundant_planner.core.horizon.path_qp import intrusion_price, PathQP
 from redundant_planner.core.horizon.poses_ahead import Poses
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.redundancy import null_space
 
 Array = npt.NDArray[np.float64]
@@ -36,7 +36,7 @@ class _Search:
     """What has been seen so far, on a snapshot of the problem.
 
     Attributes:
-        q, poses, ellipsoids: the snapshot.
+        q, poses, obstacles: the snapshot.
         aside: (n,) the direction looked in; its projection on the null space counts.
         size: of a step aside [rad, m].
         start: (n,) where the next path starts.
@@ -47,7 +47,7 @@ class _Search:
 
     q: Array
     poses: Poses
-    ellipsoids: InflatedEllipsoids
+    obstacles: InflatedObstacles
     aside: Array
     size: float
     start: Array
@@ -80,12 +80,12 @@ class MultiStart:
             self._search.elapsed += dt
 
     def step(
-        self, q: Array, poses: Poses, ellipsoids: InflatedEllipsoids, away: Array | None,
+        self, q: Array, poses: Poses, obstacles: InflatedObstacles, away: Array | None,
     ) -> tuple[Array, float] | None:
         """Look at one more path; at a search's end, return the cheapest way and its age.
 
         Args:
-            q, poses, ellipsoids: the problem now, of which a new search takes a snapshot.
+            q, poses, obstacles: the problem now, of which a new search takes a snapshot.
             away: (n,) the direction of a new search, away from what the plan is closest to;
                 None if it is close to nothing.
 
@@ -99,10 +99,10 @@ class MultiStart:
                 aside = away
             size = _SIDE_STEP_SIZES[self._searches % len(_SIDE_STEP_SIZES)]
             self._searches += 1
-            self._search = _Search(q, poses, ellipsoids, aside, size, q)
+            self._search = _Search(q, poses, obstacles, aside, size, q)
         search, problem = self._search, self._problem
         nodes = least_norm_path(problem.robot, search.start, search.poses, problem.joints)
-        search.paths.append((nodes, self._price(nodes, search.ellipsoids)))
+        search.paths.append((nodes, self._price(nodes, search.obstacles)))
         if len(search.paths) > 2 * _SIDE_STEPS:
             self._search = None
             return self._cheapest(search), search.elapsed
@@ -121,12 +121,12 @@ class MultiStart:
         pose = Poses(arm.tip_position[None], arm.tip_rotation[None])
         return least_norm_path(robot, q + size * step, pose, joints)[0], step
 
-    def _price(self, nodes: Array, ellipsoids: InflatedEllipsoids) -> Array:
+    def _price(self, nodes: Array, obstacles: InflatedObstacles) -> Array:
         """Return the price of being at postures (N, n), (N,)."""
         problem = self._problem
         arms = problem.robot.kinematics_along(nodes)
         pairs = link_clearance(
-            ellipsoids, arms.segment_start, arms.segment_end, problem.times[1:])
+            obstacles, arms.segment_start, arms.segment_end, problem.times[1:])
         return intrusion_price(-pairs.distance.min(axis=(1, 2), initial=np.inf))
 
     def _cheapest(self, search: _Search) -> Array:

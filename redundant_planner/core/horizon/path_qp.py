@@ -25,7 +25,7 @@ import numpy.typing as npt
 from redundant_planner.core.horizon.least_norm_path import PathJoints, step_to_pose
 from redundant_planner.core.horizon.poses_ahead import error_to, Poses
 from redundant_planner.core.kernels import entry, Indices, kernel, Matrix, Stack, Vector
-from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs_along
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.kinematics import Chain, KinematicsAlong
@@ -156,7 +156,7 @@ class PathQP:
         self.cut_short = False
 
     def look(
-        self, q: Array, nodes: Array, poses: Poses, ellipsoids: InflatedEllipsoids,
+        self, q: Array, nodes: Array, poses: Poses, obstacles: InflatedObstacles,
     ) -> tuple[Plan, LocalProblem]:
         """Measure a plan and linearise about it.
 
@@ -164,11 +164,11 @@ class PathQP:
             q: (n,) where the arm is.
             nodes: (N, n) the plan's postures.
             poses: N, where the tip has to be.
-            ellipsoids: the obstacles now.
+            obstacles: the obstacles now.
         """
         arms = self.robot.kinematics_along(nodes)
         measures, local = _linearised(
-            q, arms, poses, ellipsoids, self.times, self.robot.chain, self.joints)
+            q, arms, poses, obstacles, self.times, self.robot.chain, self.joints)
         return Plan(nodes, measures), local
 
     def improved(self, plan: Plan, local: LocalProblem) -> Plan | None:
@@ -257,7 +257,7 @@ def _path_cost(
 
 @entry
 def _linearised(
-    q: Vector, arms: KinematicsAlong, poses: Poses, ellipsoids: InflatedEllipsoids,
+    q: Vector, arms: KinematicsAlong, poses: Poses, obstacles: InflatedObstacles,
     times: Vector, chain: Chain, joints: PathJoints,
 ) -> _Linearised:
     """Return what a plan's nodes measure, and the QP about them.
@@ -265,7 +265,7 @@ def _linearised(
     Args:
         q: (n,) where the arm is.
         arms: at the plan's nodes.
-        poses, ellipsoids: the problem.
+        poses, obstacles: the problem.
         times: (N + 1,) of the nodes [s].
         chain: the arm.
         joints: see there.
@@ -279,7 +279,7 @@ def _linearised(
     followed = _followed(arms, poses, chain, joints.scaling)
     cost, linear, hessian = _path_cost(
         q, followed.base, followed.basis, times, joints.scaling)
-    near = near_pairs_along(ellipsoids, arms, chain, times[1:], _PAIRS_WITHIN)
+    near = near_pairs_along(obstacles, arms, chain, times[1:], _PAIRS_WITHIN)
     bounds = np.empty(len(near.postures))
     for i in range(len(bounds)):
         bounds[i] = _CLEARANCE_RESERVE / near.smallest[i] - near.normalized_distance[i]

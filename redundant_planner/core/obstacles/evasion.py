@@ -20,10 +20,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import entry, Vector
-from redundant_planner.core.obstacles.clearance import from_center, in_unit_ball
-from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.kernels import entry, kernel, Vector
+from redundant_planner.core.obstacles.clearance import from_center, in_unit_ball, link_pair
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.self_collision import nearest_parameters
+from redundant_planner.core.obstacles.shapes import ELLIPSOID
 from redundant_planner.core.obstacles.turns import (
     best_turn,
     Choice,
@@ -53,6 +54,9 @@ _VELOCITY_SHARE, _ACCELERATION_SHARE = 0.9, 0.8
 _SAFE_DISTANCE = 0.02
 # A turn that is being made gives way to one that falls short by less than this share of its own.
 _SHORTAGE_SHARE_TO_SWITCH = 0.8
+# Golden sections of an obstacle's course: to within half a percent of it.
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_SECTIONS = 10
 
 
 class Turn(NamedTuple):
@@ -113,14 +117,14 @@ class Evasion:
         self.spent = 0
 
     def turn(
-        self, arm: Kinematics, ellipsoids: InflatedEllipsoids, previous: Array, leaving: bool,
+        self, arm: Kinematics, obstacles: InflatedObstacles, previous: Array, leaving: bool,
         dt: float,
     ) -> Turn:
         """Return what the first joints shall do.
 
         Args:
             arm: its posture.
-            ellipsoids: the obstacles, larger by the clearance margin and by the way that those
+            obstacles: the obstacles, larger by the clearance margin and by the way that those
                 that move make in `clearance.lead`.
             previous: (n,) velocity of the last tick [rad/s, m/s].
             leaving: whether the arm is leaving its path already.
@@ -128,7 +132,7 @@ class Evasion:
         """
         links, turning = self._robot.links(arm), self._target is not None
         threat = _threat(
-            links, ellipsoids, self._joints if turning or leaving else self._alone,
+            links, obstacles, self._joints if turning or leaving else self._alone,
             -_SAFE_DISTANCE if turning else self._margin, self._lead)
         if threat.link < 0:
             self.reset()
@@ -138,7 +142,7 @@ class Evasion:
         q, velocities = arm.q[:count], previous[:count].copy()
 
         def best(turns: Array, limit: float, budget: int) -> Choice:
-            choice = best_turn(links, ellipsoids, self._joints, velocities, turns, limit, budget)
+            choice = best_turn(links, obstacles, self._joints, velocities, turns, limit, budget)
             self.spent += choice.distances
             return choice
 
@@ -160,44 +164,94 @@ class Evasion:
         return Turn(next_velocities(self._target - q, velocities, self._joints, dt), *threat)
 
 
+@kernel
+def _course_of_ellipsoid(
+    obstacles: InflatedObstacles, link: int, obstacle: int, start: Vector, end: Vector,
+    horizon: float,
+) -> float:
+    """Return a link's smallest distance from an ellipsoid on its course [m].
+
+    The course is a segment, so where the inflated ellipsoid is the unit ball it is segment
+    against segment.
+    """
+    x1, y1, z1 = start
+    x2, y2, z2 = end
+    way1, way2, way3 = obstacles.velocities[obstacle] * horizon
+    # Along the link, along the course, and from the obstacle's centre to the link.
+    u1, u2, u3 = in_unit_ball(obstacles, link, obstacle, x2 - x1, y2 - y1, z2 - z1)
+    v1, v2, v3 = in_unit_ball(obstacles, link, obstacle, way1, way2, way3)
+    w1, w2, w3 = from_center(obstacles, obstacle, 0.0, x1, y1, z1)
+    w1, w2, w3 = in_unit_ball(obstacles, link, obstacle, w1, w2, w3)
+    a = u1 * u1 + u2 * u2 + u3 * u3
+    b = u1 * v1 + u2 * v2 + u3 * v3
+    c = u1 * w1 + u2 * w2 + u3 * w3
+    e = v1 * v1 + v2 * v2 + v3 * v3
+    f = v1 * w1 + v2 * w2 + v3 * w3
+    g = w1 * w1 + w2 * w2 + w3 * w3
+    s, t = nearest_parameters(a, b, c, e, f)
+    squared = g + s * s * a + t * t * e + 2.0 * (s * c - t * f - s * t * b)
+    return (math.sqrt(max(squared, 0.0)) - 1.0) * obstacles.smallest[link, obstacle]
+
+
+@kernel
+def _course_of_other(
+    obstacles: InflatedObstacles, link: int, obstacle: int, start: Vector, end: Vector,
+    horizon: float,
+) -> float:
+    """Return a link's smallest distance from any other shape on its course [m].
+
+    The smallest distance of a segment from a convex shape that moves along a line is a convex
+    function of time: golden sections find its minimum.
+    """
+    low, high, smallest = 0.0, horizon, obstacles.smallest[link, obstacle]
+    before, after = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    first, _ = link_pair(obstacles, link, obstacle, before, start, end, np.inf)
+    second, _ = link_pair(obstacles, link, obstacle, after, start, end, np.inf)
+    for _ in range(_SECTIONS):
+        if first < second:
+            high, after, second = after, before, first
+            before = high - _GOLDEN * (high - low)
+            first, _ = link_pair(obstacles, link, obstacle, before, start, end, np.inf)
+        else:
+            low, before, first = before, after, second
+            after = low + _GOLDEN * (high - low)
+            second, _ = link_pair(obstacles, link, obstacle, after, start, end, np.inf)
+    return min(first, second) * smallest
+
+
 @entry
 def _threat(
-    arm: Links, ellipsoids: InflatedEllipsoids, joints: TurningJoints, kept: float, lead: float,
+    arm: Links, obstacles: InflatedObstacles, joints: TurningJoints, kept: float, lead: float,
 ) -> Threat:
     """Return the link that an obstacle's course leads into if it stands still, and the obstacle.
 
-    Of several it is the one that would be hit deepest. The course is a segment, so where the
-    inflated ellipsoid is the unit ball it is segment against segment.
+    Of several it is the one that would be hit deepest.
 
     Args:
-        arm, ellipsoids: as for `best_turn`.
+        arm, obstacles: as for `best_turn`.
         joints: which turn.
         kept: how much of the distance from the links is none, besides the lead [m].
-        lead: as for `inflated_ellipsoids` [s].
+        lead: as for `inflated_obstacles` [s].
     """
     least, link_at, obstacle_at = 0.0, -1, -1
-    for obstacle in range(len(ellipsoids.speeds)):
-        if ellipsoids.speeds[obstacle] == 0.0:
+    for obstacle in range(len(obstacles.speeds)):
+        speed = obstacles.speeds[obstacle]
+        if speed == 0.0:
             continue
-        way1, way2, way3 = ellipsoids.velocities[obstacle] * joints.horizon
+        none = kept + lead * speed
         for link in joints.links:
-            x1, y1, z1 = arm.start[link]
-            x2, y2, z2 = arm.end[link]
-            # Along the link, along the course, and from the obstacle's centre to the link.
-            u1, u2, u3 = in_unit_ball(ellipsoids, link, obstacle, x2 - x1, y2 - y1, z2 - z1)
-            v1, v2, v3 = in_unit_ball(ellipsoids, link, obstacle, way1, way2, way3)
-            w1, w2, w3 = from_center(ellipsoids, obstacle, 0.0, x1, y1, z1)
-            w1, w2, w3 = in_unit_ball(ellipsoids, link, obstacle, w1, w2, w3)
-            a = u1 * u1 + u2 * u2 + u3 * u3
-            b = u1 * v1 + u2 * v2 + u3 * v3
-            c = u1 * w1 + u2 * w2 + u3 * w3
-            e = v1 * v1 + v2 * v2 + v3 * v3
-            f = v1 * w1 + v2 * w2 + v3 * w3
-            g = w1 * w1 + w2 * w2 + w3 * w3
-            s, t = nearest_parameters(a, b, c, e, f)
-            squared = g + s * s * a + t * t * e + 2.0 * (s * c - t * f - s * t * b)
-            distance = (math.sqrt(max(squared, 0.0)) - 1.0) * ellipsoids.smallest[link, obstacle]
-            depth = distance + kept + lead * ellipsoids.speeds[obstacle]
-            if depth < least:
-                least, link_at, obstacle_at = depth, link, obstacle
+            start, end = arm.start[link], arm.end[link]
+            if obstacles.shapes[obstacle] == ELLIPSOID:
+                distance = _course_of_ellipsoid(
+                    obstacles, link, obstacle, start, end, joints.horizon)
+            else:
+                # What is further away than its course is long need not be looked at.
+                near = least - none + speed * joints.horizon
+                distance, _ = link_pair(obstacles, link, obstacle, 0.0, start, end, near)
+                distance *= obstacles.smallest[link, obstacle]
+                if distance < near:
+                    distance = _course_of_other(
+                        obstacles, link, obstacle, start, end, joints.horizon)
+            if distance + none < least:
+                least, link_at, obstacle_at = distance + none, link, obstacle
     return Threat(link_at, obstacle_at)

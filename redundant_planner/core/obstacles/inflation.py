@@ -1,8 +1,9 @@
 """Obstacles made larger by the links' radii, so that a link can be treated as a bare segment.
 
 A link is every point within its radius r of a segment. It is as far from an obstacle as its
-segment is from obstacle ⊕ ball of radius r. The trace-minimal outer ellipsoid of that sum has the
-obstacle's axes and the semi-axes √((1+β) a² + (1+1/β) r²), β = √(3 r² / tr A²).
+segment is from obstacle ⊕ ball of radius r. Of an ellipsoid that sum is taken for its
+trace-minimal outer ellipsoid, which has the obstacle's axes and the semi-axes
+√((1+β) a² + (1+1/β) r²), β = √(3 r² / tr A²). Of other shapes it is what lies within r of them.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
-from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.scene import Scene, surface_speeds
+from redundant_planner.core.obstacles.shapes import CAPSULE, ELLIPSOID
 
 Array = npt.NDArray[np.float64]
 
@@ -56,32 +58,41 @@ def inflated_semi_axes(semi_axes: Matrix, radii: Matrix) -> Array:
     return inflated
 
 
-class InflatedEllipsoids(NamedTuple):
-    """The obstacles, larger by the links' radii, and what turns each into the unit ball.
+class InflatedObstacles(NamedTuple):
+    """The obstacles, larger by the links' radii, as seen from bare segments.
 
-    That is y = diag(1/a) Rᵀ (x − c). Links differ in radius, and so every obstacle has one
-    inflated ellipsoid per link.
+    Links differ in radius, and so every obstacle is inflated once per link. An ellipsoid is
+    turned into the unit ball by y = diag(1/a) Rᵀ (x − c). Other shapes are a core, in the
+    obstacle's axes Rᵀ (x − c), and what is within some distance of it.
 
     Attributes:
+        shapes: (k,) as in `Scene`.
         centers: (k, 3) c [m].
         rotations: (k, 3, 3) R.
-        inverse: (c, k, 3) 1 / inflated semi-axes a [1/m].
-        smallest: (c, k) smallest inflated semi-axis [m].
-        velocities: (k, 3) obstacle velocities in the base frame [m/s].
-        speeds: (k,) their size [m/s].
+        cores: (k, 3) half extents of what is inflated: of a capsule those of its segment [m].
+        inflation: (c, k) how far the surface is from the core [m]; nothing for ellipsoids.
+        inverse: (c, k, 3) 1 / inflated semi-axes a [1/m]; nothing for other shapes.
+        smallest: (c, k) smallest inflated half extent [m].
+        velocities: (k, 3) of the centres in the base frame [m/s].
+        angular_velocities: (k, 3) about the centres [rad/s].
+        speeds: (k,) the fastest that any point of an obstacle moves [m/s].
     """
 
+    shapes: Indices
     centers: Matrix
     rotations: Stack
+    cores: Matrix
+    inflation: Matrix
     inverse: Stack
     smallest: Matrix
     velocities: Matrix
+    angular_velocities: Matrix
     speeds: Vector
 
 
-def inflated_ellipsoids(
+def inflated_obstacles(
     scene: Scene, radii: npt.ArrayLike, lead: float = 0.0, chosen: Indices | None = None,
-) -> InflatedEllipsoids:
+) -> InflatedObstacles:
     """Inflate a scene's obstacles by the radii of links.
 
     Args:
@@ -91,27 +102,39 @@ def inflated_ellipsoids(
         chosen: (k,) indices of the obstacles to take; all if None.
     """
     every = np.arange(len(scene.names)) if chosen is None else chosen
-    return _inflated_ellipsoids(
-        scene.centers, scene.rotations, scene.semi_axes, scene.velocities,
-        np.array(radii, dtype=float), lead, every)
+    return _inflated_obstacles(
+        scene.shapes[every], scene.centers[every], scene.rotations[every],
+        scene.half_extents[every], scene.velocities[every], scene.angular_velocities[every],
+        np.array(radii, dtype=float), lead)
 
 
 @entry
-def _inflated_ellipsoids(
-    centers: Matrix, rotations: Stack, semi_axes: Matrix, velocities: Matrix, radii: Vector,
-    lead: float, chosen: Indices,
-) -> InflatedEllipsoids:
-    centers, rotations, velocities = centers[chosen], rotations[chosen], velocities[chosen]
-    speeds = np.empty(len(chosen))
-    for obstacle in range(len(chosen)):
-        a, b, c = velocities[obstacle]
-        speeds[obstacle] = math.sqrt(a * a + b * b + c * c)
-    inverse = inflated_semi_axes(semi_axes[chosen], radii[:, None] + lead * speeds)
-    smallest = np.empty(inverse.shape[:2])
-    for obstacle in range(len(chosen)):
-        for link in range(len(radii)):
-            a, b, c = inverse[link, obstacle]
-            smallest[link, obstacle] = min(a, b, c)
+def _inflated_obstacles(
+    shapes: Indices, centers: Matrix, rotations: Stack, half_extents: Matrix, velocities: Matrix,
+    angular_velocities: Matrix, radii: Vector, lead: float,
+) -> InflatedObstacles:
+    count, links = len(shapes), len(radii)
+    cores, inflation = half_extents.copy(), np.empty((links, count))
+    smallest = np.empty((links, count))
+    speeds = surface_speeds(half_extents, velocities, angular_velocities)
+    for i in range(count):
+        a, b, c = half_extents[i]
+        rounding = 0.0
+        if shapes[i] == CAPSULE:
+            rounding = a
+            cores[i, 0], cores[i, 1], cores[i, 2] = 0.0, 0.0, max(c - a, 0.0)
+        for link in range(links):
+            grown = radii[link] + lead * speeds[i]
+            inflation[link, i], smallest[link, i] = grown + rounding, min(a, b, c) + grown
+    inverse = inflated_semi_axes(half_extents, radii[:, None] + lead * speeds)
+    for i in range(count):
+        for link in range(links):
+            a, b, c = inverse[link, i]
+            if shapes[i] == ELLIPSOID:
+                smallest[link, i] = min(a, b, c)
             for axis in range(3):
-                inverse[link, obstacle, axis] = 1.0 / inverse[link, obstacle, axis]
-    return InflatedEllipsoids(centers, rotations, inverse, smallest, velocities, speeds)
+                inverse[link, i, axis] = 1.0 / inverse[link, i, axis]
+    # Plain copies: what is taken over from Python may be in any order.
+    return InflatedObstacles(
+        shapes.copy(), centers.copy(), rotations.copy(), cores, inflation, inverse, smallest,
+        velocities.copy(), angular_velocities.copy(), speeds)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Stack, Vector
+from redundant_planner.core.obstacles.shapes import ELLIPSOID
 
 Array = npt.NDArray[np.float64]
 
 # Faster apparent motion is a teleport: the obstacle was moved, it does not move [m/s].
 TELEPORT_SPEED = 3.0
+# Likewise for turning: what names its axes differently from one time to the next [rad/s].
+TELEPORT_TURN = 6.0
 # Stamps closer to each other belong to one measurement: noise divided by less is any velocity [s].
 SHORTEST_STEP = 1e-3
 # Without an update for this long an obstacle counts as static; a stamp older than the last one by
@@ -26,8 +30,10 @@ class Tracks(NamedTuple):
     Attributes:
         centers: (k, 3) in the base frame [m]; NaN before the first sighting.
         rotations: (k, 3, 3) the obstacles' axes in the base frame.
-        semi_axes: (k, 3) [m].
+        shapes: (k,) as in `Scene`.
+        half_extents: (k, 3) [m].
         velocities: (k, 3) of the centres [m/s].
+        angular_velocities: (k, 3) about the centres [rad/s].
         stamps: (k,) of the latest measurement [s]; −∞ before the first.
         heard: (k,) when the latest message came [s].
         expiry: (k,) when they end [s]: ∞ for never, −∞ for those that were removed.
@@ -35,8 +41,10 @@ class Tracks(NamedTuple):
 
     centers: Matrix
     rotations: Stack
-    semi_axes: Matrix
+    shapes: Indices
+    half_extents: Matrix
     velocities: Matrix
+    angular_velocities: Matrix
     stamps: Vector
     heard: Vector
     expiry: Vector
@@ -50,7 +58,8 @@ class Sightings(NamedTuple):
         removed: (j,) 1 where the obstacle is removed, else 0.
         centers: (j, 3) in the base frame [m].
         rotations: (j, 3, 3).
-        semi_axes: (j, 3) [m].
+        shapes: (j,) as in `Scene`.
+        half_extents: (j, 3) [m].
         stamps: (j,) when they were measured [s]; 0 where that is not known.
         lifetimes: (j,) [s]; 0 for unlimited.
     """
@@ -59,7 +68,8 @@ class Sightings(NamedTuple):
     removed: Indices
     centers: Matrix
     rotations: Stack
-    semi_axes: Matrix
+    shapes: Indices
+    half_extents: Matrix
     stamps: Vector
     lifetimes: Vector
 
@@ -67,27 +77,73 @@ class Sightings(NamedTuple):
 def unseen(count: int) -> Tracks:
     """Return tracks of `count` obstacles that nobody has seen yet."""
     return Tracks(
-        np.full((count, 3), np.nan), np.zeros((count, 3, 3)), np.ones((count, 3)),
-        np.zeros((count, 3)), np.full(count, -np.inf), np.zeros(count), np.full(count, np.inf))
+        np.full((count, 3), np.nan), np.zeros((count, 3, 3)), np.zeros(count, np.intp),
+        np.ones((count, 3)), np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, -np.inf),
+        np.zeros(count), np.full(count, np.inf))
+
+
+def appended(tracks: Tracks, more: int) -> Tracks:
+    """Return tracks with room for so many obstacles more."""
+    fields: list[Any] = [np.concatenate(both) for both in zip(tracks, unseen(more))]
+    return Tracks(*fields)
+
+
+def kept(tracks: Tracks, keep: npt.NDArray[np.bool_]) -> Tracks:
+    """Return the tracks that are marked (k,)."""
+    fields: list[Any] = [field[keep] for field in tracks]
+    return Tracks(*fields)
 
 
 def forget(tracks: Tracks) -> None:
     """Make all obstacles look as if nobody had seen them, but keep their places."""
-    tracks.centers[:], tracks.velocities[:], tracks.stamps[:] = np.nan, 0.0, -np.inf
+    tracks.centers[:], tracks.stamps[:] = np.nan, -np.inf
+    tracks.velocities[:] = tracks.angular_velocities[:] = 0.0
+
+
+def _moves(tracks: Tracks) -> npt.NDArray[np.bool_]:
+    """Return which obstacles move or turn (k,)."""
+    return np.asarray(tracks.velocities.any(axis=1) | tracks.angular_velocities.any(axis=1))
 
 
 def stop_silent(tracks: Tracks, now: float) -> bool:
     """Stop the obstacles without an update for `STATIC_AFTER`; return whether there are any."""
-    silent = (now - tracks.heard > STATIC_AFTER) & tracks.velocities.any(axis=1)
-    tracks.velocities[silent] = 0.0
+    silent = (now - tracks.heard > STATIC_AFTER) & _moves(tracks)
+    tracks.velocities[silent] = tracks.angular_velocities[silent] = 0.0
     return bool(silent.any())
 
 
 def next_change(tracks: Tracks) -> float:
     """Return when an obstacle ends or counts as static, at the earliest [s]; ∞ for never."""
-    moving = tracks.heard[tracks.velocities.any(axis=1)]
+    moving = tracks.heard[_moves(tracks)]
     return min(float(tracks.expiry.min(initial=np.inf)),
                float(moving.min(initial=np.inf)) + STATIC_AFTER + 1e-6)
+
+
+@kernel
+def _is_ball(sightings: Sightings, i: int) -> bool:
+    """Return whether an obstacle looks the same from everywhere: its turning means nothing."""
+    a, b, c = sightings.half_extents[i]
+    return sightings.shapes[i] == ELLIPSOID and a == b == c
+
+
+@kernel
+def _turn(before: Matrix, after: Matrix) -> Array:
+    """Return the rotation vector (3,) from one rotation matrix to another [rad].
+
+    Near half a turn its direction means nothing; no obstacle turns that fast.
+    """
+    turn, trace = np.empty(3), 0.0
+    relative = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                relative[i, j] += after[i, k] * before[j, k]
+        trace += relative[i, i]
+    turn[0] = 0.5 * (relative[2, 1] - relative[1, 2])
+    turn[1] = 0.5 * (relative[0, 2] - relative[2, 0])
+    turn[2] = 0.5 * (relative[1, 0] - relative[0, 1])
+    sine, cosine = math.sqrt(np.sum(turn * turn)), 0.5 * (trace - 1.0)
+    return turn * (math.atan2(sine, cosine) / sine if sine > 0.0 else 1.0)
 
 
 @kernel
@@ -105,23 +161,32 @@ def _estimate(tracks: Tracks, sightings: Sightings, i: int, elapsed: float) -> b
     # NaN where it was never seen before: it counts as static.
     moves = squared < TELEPORT_SPEED ** 2
     changed = False
+    turn = np.zeros(3)
+    if moves and not _is_ball(sightings, i):
+        turn = _turn(tracks.rotations[row], sightings.rotations[i])
+        if not np.sum(turn * turn) < (TELEPORT_TURN * elapsed) ** 2:
+            turn[:] = 0.0
     for axis in range(3):
         step = sightings.centers[i, axis] - tracks.centers[row, axis]
         speed = step / elapsed if moves else 0.0
-        changed = changed or speed != tracks.velocities[row, axis]
-        tracks.velocities[row, axis] = speed
+        rate = turn[axis] / elapsed
+        changed = (changed or speed != tracks.velocities[row, axis]
+                   or rate != tracks.angular_velocities[row, axis])
+        tracks.velocities[row, axis], tracks.angular_velocities[row, axis] = speed, rate
     return changed
 
 
 @kernel
 def _copy_shape(tracks: Tracks, sightings: Sightings, i: int) -> bool:
     """Copy place, axes and size of sighting i into its track; return whether any is new."""
-    row, changed = sightings.rows[i], False
+    row = sightings.rows[i]
+    changed = sightings.shapes[i] != tracks.shapes[row]
+    tracks.shapes[row] = sightings.shapes[i]
     for axis in range(3):
         changed = (changed or sightings.centers[i, axis] != tracks.centers[row, axis]
-                   or sightings.semi_axes[i, axis] != tracks.semi_axes[row, axis])
+                   or sightings.half_extents[i, axis] != tracks.half_extents[row, axis])
         tracks.centers[row, axis] = sightings.centers[i, axis]
-        tracks.semi_axes[row, axis] = sightings.semi_axes[i, axis]
+        tracks.half_extents[row, axis] = sightings.half_extents[i, axis]
         for other in range(3):
             changed = (changed or sightings.rotations[i, axis, other]
                        != tracks.rotations[row, axis, other])
@@ -151,7 +216,8 @@ def take_in(
         row = sightings.rows[i]
         if sightings.removed[i]:
             for axis in range(3):
-                tracks.centers[row, axis], tracks.velocities[row, axis] = np.nan, 0.0
+                tracks.centers[row, axis] = np.nan
+                tracks.velocities[row, axis] = tracks.angular_velocities[row, axis] = 0.0
             tracks.stamps[row], tracks.expiry[row] = -np.inf, -np.inf
             changed = True
             continue
@@ -168,6 +234,6 @@ def take_in(
         lifetime = sightings.lifetimes[i]
         tracks.expiry[row] = now + lifetime if lifetime > 0.0 else np.inf
         soonest = min(soonest, tracks.expiry[row])
-        if tracks.velocities[row].any():
+        if tracks.velocities[row].any() or tracks.angular_velocities[row].any():
             soonest = min(soonest, now + STATIC_AFTER + 1e-6)
     return changed, soonest

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, Indices, Matrix, Vector
+from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Vector
 from redundant_planner.core.obstacles.clearance import (
     clearance_gradient,
     clearance_gradients_of,
+    core_of,
     measure,
     measure_along,
+    Pairs,
+    PairsAlong,
+    segment_in_axes,
 )
-from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
+from redundant_planner.core.obstacles.shapes import (
+    along,
+    ELLIPSOID,
+    flat_stretch,
+    HALF_SPACE,
+    signed_distance,
+)
 from redundant_planner.core.robot.kinematics import Chain, KinematicsAlong, Links
 
 Array = npt.NDArray[np.float64]
@@ -25,6 +37,8 @@ MOST_PAIRS = 120
 MOST_ACTING = 60
 # Most pairs that enter the problem of the joint path ahead.
 MOST_AHEAD_PAIRS = 100
+# Points of a link count by themselves if they are further apart than this [m].
+_APART = 0.01
 
 
 class NearPairs(NamedTuple):
@@ -56,68 +70,173 @@ class NearPairs(NamedTuple):
     nearest_distance: float
 
 
+class _Candidates(NamedTuple):
+    """Points of links that may count in a tick.
+
+    Attributes:
+        links, obstacles: (p,) indices of the pairs; a pair may be there several times.
+        parameter: (p,) where on the link.
+        normalized_distance: (p,) ρ there.
+        spare: (p,) how much too far the point is for its barrier to act [m].
+    """
+
+    links: Indices
+    obstacles: Indices
+    parameter: Vector
+    normalized_distance: Vector
+    spare: Vector
+
+
+@kernel
+def _add(
+    found: _Candidates, at: int, link: int, obstacle: int, t: float, rho: float, spare: float,
+) -> int:
+    """Write a candidate and return the next place."""
+    found.links[at], found.obstacles[at], found.parameter[at] = link, obstacle, t
+    found.normalized_distance[at], found.spare[at] = rho, spare
+    return at + 1
+
+
+@compiled
+def _add_stretch(
+    found: _Candidates, at: int, obstacles: InflatedObstacles, arm: Links, room: float,
+) -> int:
+    """Write the ends of the stretch over which the last candidate's link is flat over a face.
+
+    Args:
+        found, at: where to, from which place on.
+        obstacles, arm: as for `near_pairs`.
+        room: how near a point is whose barrier could act [m].
+
+    Returns:
+        The next place.
+    """
+    link, obstacle = found.links[at - 1], found.obstacles[at - 1]
+    nearest, inflation = found.parameter[at - 1], obstacles.inflation[link, obstacle]
+    smallest = obstacles.smallest[link, obstacle]
+    core, shape = core_of(obstacles, obstacle), obstacles.shapes[obstacle]
+    start, way = segment_in_axes(obstacles, obstacle, 0.0, arm.start[link], arm.end[link])
+    length = math.sqrt(way.x * way.x + way.y * way.y + way.z * way.z)
+    ends = flat_stretch(shape, core, start, way, signed_distance(
+        shape, core, along(start, way, nearest)))
+    for t in ends:
+        if abs(t - nearest) * length > _APART and ends[0] <= ends[1]:
+            distance = signed_distance(shape, core, along(start, way, t)) - inflation
+            at = _add(found, at, link, obstacle, t, distance / smallest, distance - room)
+    return at
+
+
+@kernel
+def _candidates(
+    obstacles: InflatedObstacles, arm: Links, pairs: Pairs, speeds: Vector, rate: float,
+    influence_distance: float,
+) -> tuple[_Candidates, int, int, int]:
+    """Return the points that may count, how many they are, and the nearest link and obstacle.
+
+    The walls of a workspace only bound the motion: the arm need not keep far from them, and
+    nobody asks for the nearest one.
+    """
+    links, count = obstacles.smallest.shape
+    # With both ends of a stretch.
+    most = links * count * (3 if np.any(obstacles.shapes != ELLIPSOID) else 1)
+    found = _Candidates(np.empty(most, np.intp), np.empty(most, np.intp), np.empty(most),
+                        np.empty(most), np.empty(most))
+    at, link_at, obstacle_at, least = 0, -1, -1, np.inf
+    for link in range(links):
+        for obstacle in range(count):
+            far = pairs.distance[link, obstacle]
+            wall = obstacles.shapes[obstacle] == HALF_SPACE
+            if far < least and not wall:
+                link_at, obstacle_at, least = link, obstacle, far
+            room = (speeds[link] + obstacles.speeds[obstacle]) / rate
+            if far <= room or (far <= influence_distance and not wall):
+                at = _add(found, at, link, obstacle, pairs.parameter[link, obstacle],
+                          pairs.normalized_distance[link, obstacle], far - room)
+                if obstacles.shapes[obstacle] != ELLIPSOID:
+                    at = _add_stretch(found, at, obstacles, arm, room)
+    return found, at, link_at, obstacle_at
+
+
 @compiled
 def near_pairs(
-    ellipsoids: InflatedEllipsoids, arm: Links, speeds: Vector, rate: float,
+    obstacles: InflatedObstacles, arm: Links, speeds: Vector, rate: float,
     influence_distance: float, unseen: Vector,
 ) -> NearPairs:
     """Return the pairs that are within the influence distance, or whose barrier could act.
 
     Of too many those that could act soonest: `MOST_PAIRS`, and `MOST_ACTING` of them as barriers.
+    A link that lies flat over a face of an obstacle counts with both ends of that stretch, too.
 
     Args:
-        ellipsoids: the obstacles.
+        obstacles: the obstacles.
         arm: its links.
         speeds: (c,) the fastest any point of a link may move in this tick [m/s].
         rate: share of a clearance that may be used up per second [1/s].
         influence_distance: [m].
         unseen: (c,) how near to a link obstacles may be that are not among them [m].
     """
-    shape = ellipsoids.smallest.shape
-    rho, distance, parameter = np.empty(shape), np.empty(shape), np.empty(shape)
-    measure(ellipsoids, arm.start, arm.end, 0.0, rho, distance, parameter)
-    links, obstacles = np.empty(distance.size, np.intp), np.empty(distance.size, np.intp)
-    # How much too far a pair is for its barrier to act [m].
-    spare = np.empty(distance.size)
-    count, acts, link_at, obstacle_at, least = 0, 0, -1, -1, np.inf
-    for link in range(shape[0]):
-        for obstacle in range(shape[1]):
-            far = distance[link, obstacle]
-            if far < least:
-                link_at, obstacle_at, least = link, obstacle, far
-            inactive = far - (speeds[link] + ellipsoids.speeds[obstacle]) / rate
-            if inactive <= 0.0 or far <= influence_distance:
-                links[count], obstacles[count], spare[count] = link, obstacle, inactive
-                acts += inactive <= 0.0
-                count += 1
+    shape = obstacles.smallest.shape
+    pairs = Pairs(np.empty(shape), np.empty(shape), np.empty(shape))
+    fastest = 0.0
+    for speed in obstacles.speeds:
+        fastest = max(fastest, speed)
+    measure(obstacles, arm.start, arm.end, 0.0,
+            max(influence_distance, (speeds.max() + fastest) / rate), pairs)
+    found, count, link_at, obstacle_at = _candidates(
+        obstacles, arm, pairs, speeds, rate, influence_distance)
+    spare = found.spare[:count]
+    acts = int(np.sum(spare <= 0.0))
     widest, urgent = np.inf, np.inf
     if count > MOST_PAIRS:
-        widest = np.partition(spare[:count], MOST_PAIRS)[MOST_PAIRS]
+        widest = np.partition(spare, MOST_PAIRS)[MOST_PAIRS]
     if acts > MOST_ACTING:
-        urgent = np.partition(spare[:count], MOST_ACTING)[MOST_ACTING]
+        urgent = np.partition(spare, MOST_ACTING)[MOST_ACTING]
     unseen, kept = unseen.copy(), 0
     acting = np.empty(min(acts, MOST_ACTING), np.intp)
     acts = 0
     for i in range(count):
-        link, obstacle, inactive = links[i], obstacles[i], spare[i]
+        link, obstacle, inactive = found.links[i], found.obstacles[i], spare[i]
         if inactive <= 0.0 and inactive < urgent:
             acting[acts] = kept
             acts += 1
         elif inactive <= 0.0:
-            unseen[link] = min(unseen[link], distance[link, obstacle])
+            unseen[link] = min(unseen[link], found.normalized_distance[i]
+                               * obstacles.smallest[link, obstacle])
         if inactive < widest:
-            links[kept], obstacles[kept] = link, obstacle
+            found.links[kept], found.obstacles[kept] = link, obstacle
+            found.parameter[kept] = found.parameter[i]
+            found.normalized_distance[kept] = found.normalized_distance[i]
             kept += 1
-    near, at = np.empty(kept), np.empty(kept)
     gradient, rates = np.empty((kept, arm.joint_screws.shape[1])), np.empty(kept)
+    links, chosen = found.links[:kept], found.obstacles[:kept]
     clearance_gradients_of(
-        ellipsoids, parameter, links[:kept], obstacles[:kept], arm, gradient, rates)
+        obstacles, links, chosen, found.parameter[:kept], arm, gradient, rates)
+    rho, distance = found.normalized_distance[:kept], np.empty(kept)
     for i in range(kept):
-        near[i] = rho[links[i], obstacles[i]]
-        at[i] = distance[links[i], obstacles[i]]
-    return NearPairs(
-        links[:kept], obstacles[:kept], near, at, gradient, rates, acting[:acts], unseen,
-        link_at, obstacle_at, rho[link_at, obstacle_at] if link_at >= 0 else np.inf, least)
+        distance[i] = rho[i] * obstacles.smallest[links[i], chosen[i]]
+    near, least = np.inf, np.inf
+    if link_at >= 0:
+        near = pairs.normalized_distance[link_at, obstacle_at]
+        least = pairs.distance[link_at, obstacle_at]
+    return NearPairs(links, chosen, rho, distance, gradient, rates, acting[:acts], unseen,
+                     link_at, obstacle_at, near, least)
+
+
+@kernel
+def but_walls(
+    near: NearPairs, obstacles: InflatedObstacles,
+) -> tuple[Vector, Vector, Matrix]:
+    """Return ρ (p,), distance (p,) and gradient (p, n) without the walls of a workspace."""
+    kept = np.empty(len(near.obstacles), np.intp)
+    count = 0
+    for i in range(len(kept)):
+        if obstacles.shapes[near.obstacles[i]] != HALF_SPACE:
+            kept[count] = i
+            count += 1
+    if count == len(kept):
+        return near.normalized_distance, near.distance, near.gradient
+    chosen = kept[:count]
+    return near.normalized_distance[chosen], near.distance[chosen], near.gradient[chosen]
 
 
 class NearAlong(NamedTuple):
@@ -140,7 +259,7 @@ class NearAlong(NamedTuple):
 
 @compiled
 def near_pairs_along(
-    ellipsoids: InflatedEllipsoids, arms: KinematicsAlong, chain: Chain, times: Vector,
+    obstacles: InflatedObstacles, arms: KinematicsAlong, chain: Chain, times: Vector,
     within: float,
 ) -> NearAlong:
     """Return the pairs that are nearer than `within` [m] at postures reached at times (N,) [s].
@@ -148,21 +267,21 @@ def near_pairs_along(
     Of more than `MOST_AHEAD_PAIRS` the nearest.
 
     Args:
-        ellipsoids: the obstacles now.
+        obstacles: the obstacles now.
         arms: at the postures.
         chain: the arm.
         times: (N,) from now; the obstacles have moved by then.
         within: [m].
     """
-    count, (links, obstacles) = len(times), ellipsoids.smallest.shape
-    shape = (count, links, obstacles)
-    rho, distance, parameter = np.empty(shape), np.empty(shape), np.empty(shape)
-    measure_along(
-        ellipsoids, arms.segment_start, arms.segment_end, times, rho, distance, parameter)
+    count, (links, k) = len(times), obstacles.smallest.shape
+    shape = (count, links, k)
+    pairs = PairsAlong(np.empty(shape), np.empty(shape), np.empty(shape))
+    measure_along(obstacles, arms.segment_start, arms.segment_end, times, within, pairs)
+    distance = pairs.distance
     found, nearest = 0, np.inf
     for at in range(count):
         for link in range(links):
-            for obstacle in range(obstacles):
+            for obstacle in range(k):
                 nearest = min(nearest, distance[at, link, obstacle])
                 found += distance[at, link, obstacle] < within
     if found > MOST_AHEAD_PAIRS:
@@ -175,13 +294,13 @@ def near_pairs_along(
         arm = Links(arms.segment_start[at], arms.segment_end[at], arms.joint_screws[at],
                     chain.supports)
         for link in range(links):
-            for obstacle in range(obstacles):
+            for obstacle in range(k):
                 if distance[at, link, obstacle] < within:
                     near.postures[i] = at
-                    near.normalized_distance[i] = rho[at, link, obstacle]
-                    near.smallest[i] = ellipsoids.smallest[link, obstacle]
+                    near.normalized_distance[i] = pairs.normalized_distance[at, link, obstacle]
+                    near.smallest[i] = obstacles.smallest[link, obstacle]
                     clearance_gradient(
-                        ellipsoids, link, obstacle, parameter[at, link, obstacle], times[at],
-                        arm, near.gradient[i])
+                        obstacles, link, obstacle, pairs.parameter[at, link, obstacle],
+                        times[at], arm, near.gradient[i])
                     i += 1
     return near

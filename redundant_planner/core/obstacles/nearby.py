@@ -22,9 +22,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Vector
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids, InflatedEllipsoids
+from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
+from redundant_planner.core.obstacles.inflation import inflated_obstacles, InflatedObstacles
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.shapes import ELLIPSOID, HALF_SPACE, least_distance, Place
 from redundant_planner.core.robot.kinematics import Kinematics
 
 Array = npt.NDArray[np.float64]
@@ -38,6 +39,8 @@ MOST_AHEAD = 25
 _EXTRA_RANGE = 0.15
 # Where there are too many obstacles, they are chosen anew after this motion of a link [m].
 _MOTION_UNTIL_NEXT_CHOICE = 0.01
+# A bound from the ball around a shape that may be this much too low is made better [m].
+_LOOSE = 0.03
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -57,9 +60,9 @@ class Surroundings(NamedTuple):
 
     scene: Scene
     near: Indices
-    maps: InflatedEllipsoids
+    maps: InflatedObstacles
     nearest: Indices
-    ahead: InflatedEllipsoids
+    ahead: InflatedObstacles
     q: Array
     range: Array
     crowded: bool
@@ -104,12 +107,12 @@ def everything(scene: Scene, radii: Array, lead: float, q: Array) -> Surrounding
 
     Args:
         scene: the obstacles.
-        radii, lead: as for `inflated_ellipsoids`.
+        radii, lead: as for `inflated_obstacles`.
         q: (n,) any posture.
     """
-    ellipsoids, every = inflated_ellipsoids(scene, radii, lead), np.arange(len(scene.names))
+    maps, every = inflated_obstacles(scene, radii, lead), np.arange(len(scene.names))
     unbounded = np.full(len(radii), np.inf)
-    return Surroundings(scene, every, ellipsoids, every, ellipsoids, q, unbounded, False)
+    return Surroundings(scene, every, maps, every, maps, q, unbounded, False)
 
 
 def surroundings(
@@ -123,19 +126,20 @@ def surroundings(
     Args:
         scene: all obstacles.
         radii: (c,) of the links, their margin included [m].
-        lead: as for `inflated_ellipsoids` [s].
+        lead: as for `inflated_obstacles` [s].
         arm: its posture.
         reach: (c,) how near an obstacle must be to matter [m].
         course: how far ahead obstacles are looked at in their course, at most [s].
     """
     reaches = _Reaches(arm.segment_start, arm.segment_end, radii, reach + _EXTRA_RANGE, lead)
     near, nearest, beyond = _chosen(
-        scene.centers, scene.semi_axes, scene.velocities, reaches, course, MOST_NEAR, MOST_AHEAD)
+        scene.shapes, scene.centers, scene.rotations, scene.half_extents, scene.speeds, reaches,
+        _Wanted(course, MOST_NEAR, MOST_AHEAD))
     if len(near) == len(scene.names):
         reaches.range[:] = np.inf
     return Surroundings(
-        scene, near, inflated_ellipsoids(scene, radii, lead, near), nearest,
-        inflated_ellipsoids(scene, radii, lead, nearest), arm.q, reaches.range + beyond,
+        scene, near, inflated_obstacles(scene, radii, lead, near), nearest,
+        inflated_obstacles(scene, radii, lead, nearest), arm.q, reaches.range + beyond,
         beyond < 0.0)
 
 
@@ -146,7 +150,7 @@ class _Reaches(NamedTuple):
         start, end: (c, 3) their segments [m].
         radii: (c,) [m].
         range: (c,) how far from them [m].
-        lead: see `inflated_ellipsoids` [s].
+        lead: see `inflated_obstacles` [s].
     """
 
     start: Matrix
@@ -156,27 +160,47 @@ class _Reaches(NamedTuple):
     lead: float
 
 
+class _Wanted(NamedTuple):
+    """What is to be chosen.
+
+    Attributes:
+        course: how far ahead obstacles are looked at in their course [s].
+        most: how many of those within range, at most.
+        most_ahead: how many of those that are soon nearest, at most.
+    """
+
+    course: float
+    most: int
+    most_ahead: int
+
+
 @kernel
 def _least_distances(
-    centers: Matrix, semi_axes: Matrix, velocities: Matrix, links: _Reaches,
-) -> tuple[Array, Array]:
-    """Return bounds of obstacles' distances: how far beyond the range, and how far, (k,) each [m].
+    shapes: Indices, centers: Matrix, half_extents: Matrix, speeds: Vector, links: _Reaches,
+) -> tuple[Array, Array, Array]:
+    """Return bounds from the centres alone; see `_bounds`, and `_LOOSE` for the third, (k,) each.
 
     With the distance d of the centre from the segment and the smallest and largest inflated
-    semi-axes a and b, the link's `distance` ρ a is at least (d / b − 1) a; no axes need be turned
-    for it. With m = √(tr A²/3) of the ellipsoid's own semi-axes (`inflated_square`), a is at least
-    a₀ + r and b at most b₀ + (b₀/m + m/b₀) r / 2, with nothing lost for a ball.
+    semi-axes a and b, the link's `distance` ρ a from an ellipsoid is at least (d / b − 1) a; no
+    axes need be turned for it. With m = √(tr A²/3) of the ellipsoid's own semi-axes
+    (`inflated_square`), a is at least a₀ + r and b at most b₀ + (b₀/m + m/b₀) r / 2, with nothing
+    lost for a ball. Any other shape lies in the ball around its corners.
     """
     count = len(centers)
-    x, y, z, short, long, blunt, led = np.empty((7, count))
+    x, y, z, short, long, blunt, led, loose = np.empty((8, count))
     for i in range(count):
-        a, b, c = semi_axes[i]
-        mean = math.sqrt((a * a + b * b + c * c) / 3.0)
+        a, b, c = half_extents[i]
+        squared = a * a + b * b + c * c
+        mean = math.sqrt(squared / 3.0)
         x[i], y[i], z[i] = centers[i]
-        short[i], long[i] = min(a, b, c), max(a, b, c)
+        short[i], long[i], loose[i] = min(a, b, c), max(a, b, c), 0.0
         blunt[i] = 0.5 * (long[i] / mean + mean / long[i])
-        a, b, c = velocities[i]
-        led[i] = links.lead * math.sqrt(a * a + b * b + c * c)
+        if shapes[i] != ELLIPSOID:
+            corner = math.sqrt(squared)
+            loose[i] = np.inf if shapes[i] == HALF_SPACE else corner - short[i]
+            short[i] = long[i] = corner
+            blunt[i] = 1.0
+        led[i] = links.lead * speeds[i]
     beyond, distance = np.full(count, np.inf), np.full(count, np.inf)
     for link in range(len(links.start)):
         x1, y1, z1 = links.start[link]
@@ -196,6 +220,53 @@ def _least_distances(
     for i in range(count):
         if not np.isfinite(distance[i]):  # too large for numbers
             distance[i] = beyond[i] = -np.inf
+    return beyond, distance, loose
+
+
+@kernel
+def _axis_by_axis(
+    shape: int, center: Vector, rotation: Matrix, half_extents: Vector, grown: float,
+    links: _Reaches,
+) -> tuple[float, float]:
+    """Return an obstacle's bounds by `least_distance`, in its own axes; see `_bounds`.
+
+    Args:
+        shape, center, rotation, half_extents: of the obstacle.
+        grown: by how much it is larger all round, besides the links' radii [m].
+        links: the links.
+    """
+    beyond, distance = np.inf, np.inf
+    half = Place(half_extents[0], half_extents[1], half_extents[2])
+    start, way = np.empty(3), np.empty(3)
+    for link in range(len(links.start)):
+        for axis in range(3):
+            start[axis] = way[axis] = 0.0
+            for row in range(3):
+                begin = links.start[link, row]
+                start[axis] += rotation[row, axis] * (begin - center[row])
+                way[axis] += rotation[row, axis] * (links.end[link, row] - begin)
+        far = least_distance(shape, half, Place(start[0], start[1], start[2]),
+                             Place(way[0], way[1], way[2])) - links.radii[link] - grown
+        distance = min(distance, far)
+        beyond = min(beyond, far - links.range[link])
+    return beyond, distance
+
+
+@kernel
+def _bounds(
+    shapes: Indices, centers: Matrix, rotations: Stack, half_extents: Matrix, speeds: Vector,
+    links: _Reaches,
+) -> tuple[Array, Array]:
+    """Return bounds of obstacles' distances: how far beyond the range, and how far, (k,) each [m].
+
+    From below, both of them.
+    """
+    beyond, distance, loose = _least_distances(shapes, centers, half_extents, speeds, links)
+    for i in range(len(shapes)):
+        if loose[i] > _LOOSE and (beyond[i] <= 0.0 or shapes[i] == HALF_SPACE):
+            beyond[i], distance[i] = _axis_by_axis(
+                shapes[i], centers[i], rotations[i], half_extents[i], links.lead * speeds[i],
+                links)
     return beyond, distance
 
 
@@ -218,27 +289,26 @@ def _up_to(values: Vector, limit: float, most: int) -> Indices:
 
 @entry
 def _chosen(
-    centers: Matrix, semi_axes: Matrix, velocities: Matrix, links: _Reaches, course: float,
-    most: int, most_ahead: int,
+    shapes: Indices, centers: Matrix, rotations: Stack, half_extents: Matrix, speeds: Vector,
+    links: _Reaches, wanted: _Wanted,
 ) -> tuple[Indices, Indices, float]:
     """Return which obstacles can be within range of a link, and which are soon nearest.
 
     And how much further than the range all others are from every link, 0 or less.
     """
-    beyond, distance = _least_distances(centers, semi_axes, velocities, links)
+    beyond, distance = _bounds(shapes, centers, rotations, half_extents, speeds, links)
     near = 0
     for value in beyond:
         near += not value > 0.0
     cut = 0.0
-    if near > most:
-        cut = np.partition(beyond, most - 1)[most - 1]
-    chosen = _up_to(beyond, cut, most)
+    if near > wanted.most:
+        cut = np.partition(beyond, wanted.most - 1)[wanted.most - 1]
+    chosen = _up_to(beyond, cut, wanted.most)
     if len(chosen) == 0:
         chosen = _up_to(distance, distance.min(), 1)
     limit = np.inf
     for i in range(len(distance)):
-        a, b, c = velocities[i]
-        distance[i] -= course * math.sqrt(a * a + b * b + c * c)
-    if len(distance) > most_ahead:
-        limit = np.partition(distance, most_ahead - 1)[most_ahead - 1]
-    return chosen, _up_to(distance, limit, most_ahead), cut
+        distance[i] -= wanted.course * speeds[i]
+    if len(distance) > wanted.most_ahead:
+        limit = np.partition(distance, wanted.most_ahead - 1)[wanted.most_ahead - 1]
+    return chosen, _up_to(distance, limit, wanted.most_ahead), cut

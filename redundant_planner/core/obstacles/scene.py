@@ -11,7 +11,14 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from redundant_planner.core.kernels import compiled, Matrix
-from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.obstacle import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    HALF_SPACE,
+    Obstacle,
+    SHAPES,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -34,40 +41,84 @@ def rotations(quaternions: Matrix) -> Array:
     return result
 
 
+@compiled
+def surface_speeds(half_extents: Matrix, velocities: Matrix, angular_velocities: Matrix) -> Array:
+    """Return bounds on how fast any point of the obstacles moves (k,) [m/s].
+
+    Args:
+        half_extents: (k, 3) [m].
+        velocities, angular_velocities: (k, 3) [m/s, rad/s].
+    """
+    speeds = np.empty(len(half_extents))
+    for i in range(len(half_extents)):
+        arm, linear, angular = 0.0, 0.0, 0.0
+        for axis in range(3):
+            arm += half_extents[i, axis] * half_extents[i, axis]
+            linear += velocities[i, axis] * velocities[i, axis]
+            angular += angular_velocities[i, axis] * angular_velocities[i, axis]
+        speeds[i] = math.sqrt(linear) + math.sqrt(arm) * math.sqrt(angular)
+    return speeds
+
+
 @dataclass(frozen=True)
 class Scene:
     """All obstacles, stacked; built once when something changes, not once per tick.
 
     Attributes:
         names: k names.
+        shapes: (k,) what each is, an index into `SHAPES`.
         centers: (k, 3) [m].
-        rotations: (k, 3, 3) ellipsoid axes → base axes.
-        semi_axes: (k, 3) [m].
+        rotations: (k, 3, 3) obstacle axes → base axes.
+        half_extents: (k, 3) along the obstacle's axes, see `Obstacle` [m].
         velocities: (k, 3) [m/s].
+        angular_velocities: (k, 3) in base axes [rad/s].
     """
 
     names: tuple[str, ...]
+    shapes: npt.NDArray[np.intp]
     centers: Array
     rotations: Array
-    semi_axes: Array
+    half_extents: Array
     velocities: Array
+    angular_velocities: Array
 
     @classmethod
     def of(cls, obstacles: Iterable[Obstacle] = ()) -> Scene:
         """Stack obstacles into a scene."""
         obstacles = tuple(obstacles)
         arrays = (
+            np.array([SHAPES.index(o.shape) for o in obstacles], dtype=np.intp),
             np.array([o.center for o in obstacles]).reshape(-1, 3),
             np.array([o.rotation for o in obstacles]).reshape(-1, 3, 3),
-            np.array([o.semi_axes for o in obstacles]).reshape(-1, 3),
-            np.array([o.velocity for o in obstacles]).reshape(-1, 3))
+            np.array([o.half_extents for o in obstacles]).reshape(-1, 3),
+            np.array([o.velocity for o in obstacles]).reshape(-1, 3),
+            np.array([o.angular_velocity for o in obstacles]).reshape(-1, 3))
         for array in arrays:
             array.setflags(write=False)
         return cls(tuple(o.name for o in obstacles), *arrays)
 
+    @property
+    def speeds(self) -> Array:
+        """(k,) the fastest that any point of an obstacle moves, at most [m/s]."""
+        return surface_speeds(self.half_extents, self.velocities, self.angular_velocities)
+
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Return the obstacles one by one."""
-        return tuple(
-            Obstacle(name, center, axes, pin.Quaternion(rotation).coeffs(), velocity)
-            for name, center, axes, rotation, velocity in zip(
-                self.names, self.centers, self.semi_axes, self.rotations, self.velocities))
+        return tuple(map(self.obstacle, range(len(self.names))))
+
+    def obstacle(self, i: int) -> Obstacle:
+        """Return one of the obstacles."""
+        name, center, (x, y, z) = self.names[i], self.centers[i], self.half_extents[i].tolist()
+        place = {'orientation': pin.Quaternion(self.rotations[i]).coeffs(),
+                 'velocity': self.velocities[i],
+                 'angular_velocity': self.angular_velocities[i]}
+        shape = SHAPES[self.shapes[i]]
+        if shape == BOX:
+            return Obstacle.box(name, center, 2.0 * self.half_extents[i], **place)
+        if shape == CYLINDER:
+            return Obstacle.cylinder(name, center, x, 2.0 * z, **place)
+        if shape == CAPSULE:
+            return Obstacle.capsule(name, center, x, max(2.0 * (z - x), 0.0), **place)
+        if shape == HALF_SPACE:
+            return Obstacle.half_space(name, center, **place)
+        return Obstacle(name, center, (x, y, z), **place)

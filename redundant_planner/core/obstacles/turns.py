@@ -22,8 +22,8 @@ from redundant_planner.core.kernels import (
     OutVector,
     Vector,
 )
-from redundant_planner.core.obstacles.clearance import from_center, in_unit_ball, nearest_to_origin
-from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.clearance import link_pair
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.robot.kinematics import Links
 
 Array = npt.NDArray[np.float64]
@@ -113,24 +113,19 @@ def turn_point(joint_screw: Vector, turn: float, point: OutVector) -> None:
 
 @kernel
 def _distance(
-    ellipsoids: InflatedEllipsoids, link: int, start: Vector, end: Vector, time: float,
+    obstacles: InflatedObstacles, link: int, start: Vector, end: Vector, time: float,
 ) -> float:
     """Return a link's smallest distance from where obstacles are after a time [m]."""
-    x1, y1, z1 = start
-    x2, y2, z2 = end
     least = np.inf
-    for obstacle in range(len(ellipsoids.speeds)):
-        a, b, c = from_center(ellipsoids, obstacle, time, x1, y1, z1)
-        a, b, c = in_unit_ball(ellipsoids, link, obstacle, a, b, c)
-        u, v, w = in_unit_ball(ellipsoids, link, obstacle, x2 - x1, y2 - y1, z2 - z1)
-        size, _ = nearest_to_origin(a, b, c, u, v, w)
-        least = min(least, (size - 1.0) * ellipsoids.smallest[link, obstacle])
+    for obstacle in range(len(obstacles.speeds)):
+        rho, _ = link_pair(obstacles, link, obstacle, time, start, end, least)
+        least = min(least, rho * obstacles.smallest[link, obstacle])
     return least
 
 
 @kernel
 def _shortage(
-    arm: Links, ellipsoids: InflatedEllipsoids, joints: TurningJoints, velocities: Vector,
+    arm: Links, obstacles: InflatedObstacles, joints: TurningJoints, velocities: Vector,
     turn: Vector, at_first: Vector, limit: float,
 ) -> tuple[float, int]:
     """Return what a turn (k,) falls short [m²], and how often a link was measured for that.
@@ -139,14 +134,14 @@ def _shortage(
     obstacles have moved: links are only measured when they could have come too close.
 
     Args:
-        arm, ellipsoids, joints, velocities, limit: as for `best_turn`.
+        arm, obstacles, joints, velocities, limit: as for `best_turn`.
         turn: (k,) [rad, m].
         at_first: (c,) how much further than clear the links are from obstacles now [m].
     """
     spare, least = at_first.copy(), np.full(len(at_first), CLEAR_DISTANCE)
     speeds, turned = velocities.copy(), np.zeros(len(turn))
     start, end = np.empty(3), np.empty(3)
-    passing = TIME_STEP * ellipsoids.speeds.max()
+    passing = TIME_STEP * obstacles.speeds.max()
     shortage, measured = 0.0, 0
     for step in range(1, math.ceil(joints.horizon / TIME_STEP) + 1):
         for link in joints.links:
@@ -168,7 +163,7 @@ def _shortage(
                 if arm.supports[link, j] > 0.0:
                     turn_point(arm.joint_screws[:, j], turned[j], start)
                     turn_point(arm.joint_screws[:, j], turned[j], end)
-            distance = _distance(ellipsoids, link, start, end, step * TIME_STEP)
+            distance = _distance(obstacles, link, start, end, step * TIME_STEP)
             measured += 1
             spare[link] = distance - CLEAR_DISTANCE
             if distance < least[link]:
@@ -182,13 +177,13 @@ def _shortage(
 
 @entry
 def best_turn(
-    arm: Links, ellipsoids: InflatedEllipsoids, joints: TurningJoints, velocities: Vector,
+    arm: Links, obstacles: InflatedObstacles, joints: TurningJoints, velocities: Vector,
     turns: Matrix, limit: float, budget: int,
 ) -> Choice:
     """Return the first turn that keeps clear, else the one that falls least short of that.
 
     Args:
-        arm, ellipsoids: as they are now.
+        arm, obstacles: as they are now.
         joints: which turn.
         velocities: (k,) theirs now [rad/s, m/s].
         turns: (t, k) [rad, m].
@@ -198,12 +193,12 @@ def best_turn(
     at_first = np.zeros(len(joints.weights))
     for link in joints.links:
         at_first[link] = _distance(
-            ellipsoids, link, arm.start[link], arm.end[link], 0.0) - CLEAR_DISTANCE
+            obstacles, link, arm.start[link], arm.end[link], 0.0) - CLEAR_DISTANCE
     chosen, smallest, tried, spent = -1, limit, 0, 0
     while tried < len(turns) and (tried == 0 or spent < budget):
         shortage, measured = _shortage(
-            arm, ellipsoids, joints, velocities, turns[tried], at_first, smallest)
-        spent += measured * len(ellipsoids.speeds)
+            arm, obstacles, joints, velocities, turns[tried], at_first, smallest)
+        spent += measured * len(obstacles.speeds)
         if shortage < smallest:
             chosen, smallest = tried, shortage
         # Nothing is better than a turn that falls short of nothing.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
@@ -51,8 +49,7 @@ class ObstacleWatch:
         """Choose from a new scene, for the posture of the last tick and its velocity (n,)."""
         if scene is self._scene:
             return
-        squares = np.square(scene.velocities).sum(axis=1)
-        self._scene, self.fastest = scene, math.sqrt(squares.max(initial=0.0))
+        self._scene, self.fastest = scene, float(scene.speeds.max(initial=0.0))
         if self._last is not None:
             arm, dt = self._last
             self._surroundings(scene, arm, previous, dt)

@@ -15,9 +15,10 @@ import numpy.typing as npt
 from redundant_planner.core.constants import RobotConstants
 from redundant_planner.core.kernels import compiled, IndexPairs, Indices, kernel, Matrix, Vector
 from redundant_planner.core.obstacles.evasion import Turn
-from redundant_planner.core.obstacles.inflation import InflatedEllipsoids
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import NearPairs
 from redundant_planner.core.obstacles.self_collision import NearLinks
+from redundant_planner.core.obstacles.shapes import HALF_SPACE
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.redundancy.reference import Start
@@ -163,11 +164,12 @@ def room_for(rows: int, n: int) -> Rows:
 
 @kernel
 def obstacle_rows(
-    rows: Barriers, at: int, near: NearPairs, maps: InflatedEllipsoids, lead: float,
+    rows: Barriers, at: int, near: NearPairs, maps: InflatedObstacles, lead: float,
 ) -> int:
     """Write a row for every link and obstacle whose barrier could act; return the next row.
 
-    Closer than the margin the arm may stay where it is; it only may not get closer.
+    What is found beyond the surface of a half-space may stay there, and only not get deeper. A
+    wall is a wish of the user's, not a thing that is to be left at once.
 
     Args:
         rows, at: where to, from which row on.
@@ -178,6 +180,8 @@ def obstacle_rows(
         link, obstacle = near.links[pair], near.obstacles[pair]
         rows.gradient[at] = near.gradient[pair]
         rows.time_derivative[at], rows.value[at] = near.rate[pair], near.normalized_distance[pair]
+        if maps.shapes[obstacle] == HALF_SPACE:
+            rows.value[at] = max(rows.value[at], 0.0)
         rows.spare[at] = lead * maps.speeds[obstacle] / maps.smallest[link, obstacle]
         rows.kind[at], rows.first[at], rows.second[at] = OBSTACLE, link, obstacle
         at += 1
@@ -276,9 +280,11 @@ def self_motion_row(
 
 
 @kernel
-def is_intruded(near: NearPairs, turn: Turn) -> bool:
+def is_intruded(near: NearPairs, maps: InflatedObstacles, turn: Turn) -> bool:
     """Return whether an obstacle moves towards the arm, or the arm was found too close to it."""
     intruded = len(turn.velocities) > 0
     for pair in near.acting:
-        intruded = intruded or near.distance[pair] < -_FOUND_INSIDE or near.rate[pair] < 0.0
+        inside = (near.distance[pair] < -_FOUND_INSIDE
+                  and maps.shapes[near.obstacles[pair]] != HALF_SPACE)
+        intruded = intruded or inside or near.rate[pair] < 0.0
     return intruded

@@ -7,7 +7,7 @@ import numpy as np
 from redundant_planner.core.horizon.least_norm_path import PathJoints
 from redundant_planner.core.horizon.path_qp import PathQP
 from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.se3 import Pose
 
@@ -29,5 +29,5 @@ def problem(robot, q, twist, obstacles=(), nodes=6, seconds=1.0, weights=None):
     poses = poses_ahead(Pose(arm.tip_position, arm.tip_rotation),
                         smooth(twist, seconds)(middles(qp.times)), qp.times,
                         robot.in_tool)
-    return qp, poses, inflated_ellipsoids(
+    return qp, poses, inflated_obstacles(
         Scene.of(obstacles), [c.radius for c in robot.capsules])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from closed_loop import random_scene
+from closed_loop import mixed_scene, random_scene
 from conftest import central_difference, random_postures
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
@@ -14,7 +14,7 @@ from redundant_planner.core.obstacles.clearance import (
     link_clearance,
     pseudo_distance,
 )
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 
@@ -28,22 +28,22 @@ quaternions = arrays(float, 4, elements=st.floats(-1.0, 1.0)).filter(
 def equation_6(obstacle, point):
     """S(X) = XᵀQX + BX + C in the ellipsoid's own axes."""
     local = obstacle.rotation.T @ (point - obstacle.center)
-    return np.sum((local / obstacle.semi_axes) ** 2) - 1.0
+    return np.sum((local / obstacle.half_extents) ** 2) - 1.0
 
 
 def pairs_of(obstacle, start, end, radius=0.0):
-    maps = inflated_ellipsoids(Scene.of([obstacle]), [radius])
+    maps = inflated_obstacles(Scene.of([obstacle]), [radius])
     return link_clearance(maps, start[None], end[None])
 
 
 def test_what_moves_is_larger_by_its_way():
     start, end = np.zeros(3), np.array([0.0, 0.0, 0.5])
     resting = Obstacle('o', np.array([0.4, 0.1, 0.2]), np.array([0.1, 0.05, 0.2]))
-    moving = Obstacle('o', resting.center, resting.semi_axes, velocity=np.array([0.3, 0.0, -0.4]))
-    maps = inflated_ellipsoids(Scene.of([moving, resting]), [0.05], 0.2)
+    moving = Obstacle('o', resting.center, resting.half_extents, velocity=[0.3, 0.0, -0.4])
+    maps = inflated_obstacles(Scene.of([moving, resting]), [0.05], 0.2)
     found = link_clearance(maps, start[None], end[None]).normalized_distance[0]
     assert found[0] == link_clearance(
-        inflated_ellipsoids(Scene.of([resting]), [0.05 + 0.2 * 0.5]),
+        inflated_obstacles(Scene.of([resting]), [0.05 + 0.2 * 0.5]),
         start[None], end[None]).normalized_distance
     assert found[1] == pairs_of(resting, start, end, 0.05).normalized_distance
 
@@ -75,13 +75,13 @@ def test_sphere_and_capsule_meet_where_geometry_says(start, end, sphere, radius)
 
 def all_clearances(robot, q, obstacles):
     arm = robot.kinematics(q)
-    maps = inflated_ellipsoids(Scene.of(obstacles), [c.radius for c in robot.capsules])
+    maps = inflated_obstacles(Scene.of(obstacles), [c.radius for c in robot.capsules])
     return arm, maps, link_clearance(maps, arm.segment_start, arm.segment_end)
 
 
 def test_gradients_match_finite_differences(robot):
-    for seed, q in enumerate(random_postures(robot, 20)):
-        obstacles = random_scene(robot, seed)
+    for seed, q in enumerate(random_postures(robot, 40)):
+        obstacles = mixed_scene(seed) if seed % 2 else random_scene(robot, seed)
         arm, maps, pairs = all_clearances(robot, q, obstacles)
         links, which = np.nonzero(pairs.normalized_distance > -0.9)
         gradient, rate = clearance_gradients(maps, pairs, (links, which), robot.links(arm))
@@ -89,8 +89,7 @@ def test_gradients_match_finite_differences(robot):
             lambda p, o=obstacles: all_clearances(robot, p, o)[2].normalized_distance, q)
         np.testing.assert_allclose(gradient, expected[links, which], rtol=1e-5, atol=1e-5)
         step = 1e-6
-        ahead, behind = ([Obstacle(o.name, o.center + s * o.velocity, o.semi_axes, o.orientation)
-                          for o in obstacles] for s in (step, -step))
+        ahead, behind = ([o.after(s) for o in obstacles] for s in (step, -step))
         moved = (all_clearances(robot, q, ahead)[2].normalized_distance
                  - all_clearances(robot, q, behind)[2].normalized_distance) / (2 * step)
         np.testing.assert_allclose(rate, moved[links, which], rtol=1e-5, atol=1e-5)
@@ -113,10 +112,10 @@ def test_obstacles_have_moved_by_the_time_a_node_is_reached(planar):
     arms = planar.kinematics_along(postures)
     radii = [c.radius for c in planar.capsules]
     ahead = link_clearance(
-        inflated_ellipsoids(Scene.of([ball]), radii), arms.segment_start, arms.segment_end, times)
+        inflated_obstacles(Scene.of([ball]), radii), arms.segment_start, arms.segment_end, times)
     for i, time in enumerate(times):
-        there = Obstacle('ball', ball.center + time * ball.velocity, ball.semi_axes)
-        expected = link_clearance(inflated_ellipsoids(Scene.of([there]), radii),
+        there = ball.after(time)
+        expected = link_clearance(inflated_obstacles(Scene.of([there]), radii),
                                   arms.segment_start[i], arms.segment_end[i])
         np.testing.assert_allclose(
             ahead.normalized_distance[i], expected.normalized_distance, atol=1e-12)

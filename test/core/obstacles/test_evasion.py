@@ -9,7 +9,7 @@ import pytest
 from redundant_planner.core.obstacles import evasion
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.evasion import Evasion, NO_TURN
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -35,7 +35,7 @@ def passing(robot, random, count=2, speed=0.3):
 
 
 def maps_of(robot, scene):
-    return inflated_ellipsoids(scene, [c.radius + MARGIN for c in robot.capsules], LEAD)
+    return inflated_obstacles(scene, [c.radius + MARGIN for c in robot.capsules], LEAD)
 
 
 def evasion_of(robot):

@@ -24,8 +24,8 @@ def seen(tracks, at, stamp=0.0, now=BEGIN, *, removed=0, lifetime=0.0, estimate=
     """One sighting of the first obstacle; what `take_in` returns."""
     return take_in(tracks, Sightings(
         np.zeros(1, np.intp), np.array([removed]), np.array([at], dtype=float),
-        np.eye(3)[None].copy(), np.full((1, 3), 0.1), np.array([stamp]), np.array([lifetime])),
-        now, estimate)
+        np.eye(3)[None].copy(), np.zeros(1, np.intp), np.full((1, 3), 0.1), np.array([stamp]),
+        np.array([lifetime])), now, estimate)
 
 
 @pytest.fixture

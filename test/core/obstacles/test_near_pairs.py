@@ -9,7 +9,7 @@ import pytest
 from test_clearance import all_clearances
 
 from redundant_planner.core.obstacles.clearance import clearance_gradients
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs_along
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -20,11 +20,11 @@ def test_pairs_along_a_path_are_those_of_each_posture(robot):
     for seed in range(10):
         postures, obstacles = random_postures(robot, 3, seed), random_scene(robot, seed)
         arms = robot.kinematics_along(postures)
-        maps = inflated_ellipsoids(Scene.of(obstacles), [c.radius for c in robot.capsules])
+        maps = inflated_obstacles(Scene.of(obstacles), [c.radius for c in robot.capsules])
         near = near_pairs_along(maps, arms, robot.chain, times, within)
         found, nearest = 0, np.inf
         for at, (q, time) in enumerate(zip(postures, times)):
-            there = [Obstacle(o.name, o.center + time * o.velocity, o.semi_axes, o.orientation)
+            there = [Obstacle(o.name, o.center + time * o.velocity, o.half_extents, o.orientation)
                      for o in obstacles]
             arm, maps, pairs = all_clearances(robot, q, there)
             chosen = (pairs.distance < within).nonzero()

@@ -9,7 +9,7 @@ import pytest
 
 from redundant_planner.core.obstacles import nearby
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.nearby import surroundings
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -34,7 +34,7 @@ def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach)
     """Against all distances, at postures that random motion leads to."""
     random = np.random.default_rng(seed)
     scene = cloud(60, seed, speed=0.2)
-    maps = inflated_ellipsoids(scene, RADII, LEAD)
+    maps = inflated_obstacles(scene, RADII, LEAD)
     (q,) = random_postures(PANDA, 1, seed)
     arm = PANDA.kinematics(q)
     limit = np.full(len(RADII), reach) * random.uniform(0.5, 1.0, len(RADII))
@@ -62,21 +62,21 @@ def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed
         around = surroundings(scene, RADII, LEAD, arm, np.full(len(RADII), reach), COURSE)
     assert 1 <= len(around.near) <= most and len(around.nearest) == most
     distance = link_clearance(
-        inflated_ellipsoids(scene, RADII, LEAD), arm.segment_start, arm.segment_end).distance
+        inflated_obstacles(scene, RADII, LEAD), arm.segment_start, arm.segment_end).distance
     left_out = ~np.isin(np.arange(60), around.near)
     assert (distance[:, left_out] > around.range[:, None] - 1e-9).all()
     assert around.crowded or not left_out.any() or (distance[:, left_out] > reach).all()
     np.testing.assert_array_equal(around.maps.centers, scene.centers[around.near])
     np.testing.assert_array_equal(around.ahead.centers, scene.centers[around.nearest])
     # Round ones are exactly in the order of their distance.
-    balls = Scene.of(Obstacle(o.name, o.center, np.full(3, o.semi_axes[0]))
+    balls = Scene.of(Obstacle(o.name, o.center, np.full(3, o.half_extents[0]))
                      for o in scene.obstacles())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(nearby, 'MOST_AHEAD', most)
         nearest = surroundings(
             balls, RADII, LEAD, arm, np.full(len(RADII), reach), COURSE).nearest
     least = link_clearance(
-        inflated_ellipsoids(balls, RADII, LEAD),
+        inflated_obstacles(balls, RADII, LEAD),
         arm.segment_start, arm.segment_end).distance.min(axis=0)
     assert least[nearest].max() <= np.delete(least, nearest).min() + 1e-9
 
@@ -97,7 +97,7 @@ def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch)
     arm = robot.kinematics(start)
     scene = cloud(400, 2, extent=2.0, speed=speed)
     radii = np.array([capsule.radius + 0.03 for capsule in robot.capsules])
-    free = (link_clearance(inflated_ellipsoids(scene, radii), arm.segment_start, arm.segment_end)
+    free = (link_clearance(inflated_obstacles(scene, radii), arm.segment_start, arm.segment_end)
             .normalized_distance > 0.0).all(axis=0)
     scene = Scene.of(o for o, is_free in zip(scene.obstacles(), free) if is_free)
     twists = 0.2 * random.normal(size=(6, 6))

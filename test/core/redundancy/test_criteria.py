@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.obstacles.clearance import clearance_gradients, link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_ellipsoids
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.redundancy import criteria, null_space as ns
 from redundant_planner.core.robot.jacobian import derivative_between
@@ -37,7 +37,7 @@ def clearance_of(robot, q, obstacles, points, smoothing=0.0, influence_distance=
         radii = np.zeros(robot.n + 1)
         points = robot.joint_points(q)
         links = Links(points, points, arm.joint_screws, np.tril(np.ones((robot.n + 1, robot.n))))
-    maps = inflated_ellipsoids(scene, radii)
+    maps = inflated_obstacles(scene, radii)
     pairs = link_clearance(maps, links.start, links.end)
     every = np.isfinite(pairs.normalized_distance).nonzero()
     gradient, _ = clearance_gradients(maps, pairs, every, links)
