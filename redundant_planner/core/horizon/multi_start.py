@@ -126,7 +126,7 @@ class MultiStart:
         problem = self._problem
         arms = problem.robot.kinematics_along(nodes)
         pairs = link_clearance(
-            obstacles, arms.segment_start, arms.segment_end, problem.times[1:])
+            obstacles, arms.segment_start, arms.segment_end, problem.times[1:], -math.inf)
         return intrusion_price(-pairs.distance.min(axis=(1, 2), initial=np.inf))
 
     def _cheapest(self, search: _Search) -> Array:

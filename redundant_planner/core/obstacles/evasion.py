@@ -21,10 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.kernels import entry, kernel, Vector
-from redundant_planner.core.obstacles.clearance import from_center, in_unit_ball, link_pair
+from redundant_planner.core.obstacles.clearance import from_center, in_unit_ball, link_pair, place
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.self_collision import nearest_parameters
-from redundant_planner.core.obstacles.shapes import ELLIPSOID
+from redundant_planner.core.obstacles.shapes import ELLIPSOID, Place
 from redundant_planner.core.obstacles.turns import (
     best_turn,
     Choice,
@@ -166,7 +166,7 @@ class Evasion:
 
 @kernel
 def _course_of_ellipsoid(
-    obstacles: InflatedObstacles, link: int, obstacle: int, start: Vector, end: Vector,
+    obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place,
     horizon: float,
 ) -> float:
     """Return a link's smallest distance from an ellipsoid on its course [m].
@@ -176,7 +176,7 @@ def _course_of_ellipsoid(
     """
     x1, y1, z1 = start
     x2, y2, z2 = end
-    way1, way2, way3 = obstacles.velocities[obstacle] * horizon
+    way1, way2, way3 = obstacles.twists[obstacle, :3] * horizon
     # Along the link, along the course, and from the obstacle's centre to the link.
     u1, u2, u3 = in_unit_ball(obstacles, link, obstacle, x2 - x1, y2 - y1, z2 - z1)
     v1, v2, v3 = in_unit_ball(obstacles, link, obstacle, way1, way2, way3)
@@ -195,7 +195,7 @@ def _course_of_ellipsoid(
 
 @kernel
 def _course_of_other(
-    obstacles: InflatedObstacles, link: int, obstacle: int, start: Vector, end: Vector,
+    obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place,
     horizon: float,
 ) -> float:
     """Return a link's smallest distance from any other shape on its course [m].
@@ -240,7 +240,7 @@ def _threat(
             continue
         none = kept + lead * speed
         for link in joints.links:
-            start, end = arm.start[link], arm.end[link]
+            start, end = place(arm.start, link), place(arm.end, link)
             if obstacles.shapes[obstacle] == ELLIPSOID:
                 distance = _course_of_ellipsoid(
                     obstacles, link, obstacle, start, end, joints.horizon)

@@ -73,8 +73,7 @@ class InflatedObstacles(NamedTuple):
         inflation: (c, k) how far the surface is from the core [m]; nothing for ellipsoids.
         inverse: (c, k, 3) 1 / inflated semi-axes a [1/m]; nothing for other shapes.
         smallest: (c, k) smallest inflated half extent [m].
-        velocities: (k, 3) of the centres in the base frame [m/s].
-        angular_velocities: (k, 3) about the centres [rad/s].
+        twists: (k, 6) velocities of the centres, and angular velocities, base frame [m/s, rad/s].
         speeds: (k,) the fastest that any point of an obstacle moves [m/s].
     """
 
@@ -85,8 +84,7 @@ class InflatedObstacles(NamedTuple):
     inflation: Matrix
     inverse: Stack
     smallest: Matrix
-    velocities: Matrix
-    angular_velocities: Matrix
+    twists: Matrix
     speeds: Vector
 
 
@@ -134,7 +132,9 @@ def _inflated_obstacles(
                 smallest[link, i] = min(a, b, c)
             for axis in range(3):
                 inverse[link, i, axis] = 1.0 / inverse[link, i, axis]
+    twists = np.empty((count, 6))
+    twists[:, :3], twists[:, 3:] = velocities, angular_velocities
     # Plain copies: what is taken over from Python may be in any order.
     return InflatedObstacles(
         shapes.copy(), centers.copy(), rotations.copy(), cores, inflation, inverse, smallest,
-        velocities.copy(), angular_velocities.copy(), speeds)
+        twists, speeds)

@@ -17,6 +17,7 @@ from redundant_planner.core.obstacles.clearance import (
     measure_along,
     Pairs,
     PairsAlong,
+    place,
     segment_in_axes,
 )
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -115,7 +116,8 @@ def _add_stretch(
     nearest, inflation = found.parameter[at - 1], obstacles.inflation[link, obstacle]
     smallest = obstacles.smallest[link, obstacle]
     core, shape = core_of(obstacles, obstacle), obstacles.shapes[obstacle]
-    start, way = segment_in_axes(obstacles, obstacle, 0.0, arm.start[link], arm.end[link])
+    start, way = segment_in_axes(
+        obstacles, obstacle, 0.0, place(arm.start, link), place(arm.end, link))
     length = math.sqrt(way.x * way.x + way.y * way.y + way.z * way.z)
     ends = flat_stretch(shape, core, start, way, signed_distance(
         shape, core, along(start, way, nearest)))
@@ -134,7 +136,7 @@ def _candidates(
     """Return the points that may count, how many they are, and the nearest link and obstacle.
 
     The walls of a workspace only bound the motion: the arm need not keep far from them, and
-    nobody asks for the nearest one.
+    nobody asks for the nearest one. `pairs` has them infinitely far away afterwards.
     """
     links, count = obstacles.smallest.shape
     # With both ends of a stretch.
@@ -142,14 +144,23 @@ def _candidates(
     found = _Candidates(np.empty(most, np.intp), np.empty(most, np.intp), np.empty(most),
                         np.empty(most), np.empty(most))
     at, link_at, obstacle_at, least = 0, -1, -1, np.inf
+    for wall in range(count):
+        if obstacles.shapes[wall] != HALF_SPACE:
+            continue
+        for link in range(links):
+            far, room = pairs.distance[link, wall], speeds[link] / rate
+            pairs.distance[link, wall] = np.inf
+            if far <= room:
+                at = _add(found, at, link, wall, pairs.parameter[link, wall],
+                          pairs.normalized_distance[link, wall], far - room)
+                at = _add_stretch(found, at, obstacles, arm, room)
     for link in range(links):
         for obstacle in range(count):
             far = pairs.distance[link, obstacle]
-            wall = obstacles.shapes[obstacle] == HALF_SPACE
-            if far < least and not wall:
+            if far < least:
                 link_at, obstacle_at, least = link, obstacle, far
             room = (speeds[link] + obstacles.speeds[obstacle]) / rate
-            if far <= room or (far <= influence_distance and not wall):
+            if far <= room or far <= influence_distance:
                 at = _add(found, at, link, obstacle, pairs.parameter[link, obstacle],
                           pairs.normalized_distance[link, obstacle], far - room)
                 if obstacles.shapes[obstacle] != ELLIPSOID:

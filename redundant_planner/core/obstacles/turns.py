@@ -24,6 +24,7 @@ from redundant_planner.core.kernels import (
 )
 from redundant_planner.core.obstacles.clearance import link_pair
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
+from redundant_planner.core.obstacles.shapes import Place
 from redundant_planner.core.robot.kinematics import Links
 
 Array = npt.NDArray[np.float64]
@@ -117,8 +118,9 @@ def _distance(
 ) -> float:
     """Return a link's smallest distance from where obstacles are after a time [m]."""
     least = np.inf
+    here, there = Place(start[0], start[1], start[2]), Place(end[0], end[1], end[2])
     for obstacle in range(len(obstacles.speeds)):
-        rho, _ = link_pair(obstacles, link, obstacle, time, start, end, least)
+        rho, _ = link_pair(obstacles, link, obstacle, time, here, there, least)
         least = min(least, rho * obstacles.smallest[link, obstacle])
     return least
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.obstacles import shapes
-from redundant_planner.core.obstacles.clearance import link_clearance, measure, Pairs, slope_at
+from redundant_planner.core.obstacles.clearance import link_clearance, slope_at
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, HALF_SPACE, Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -61,9 +61,8 @@ def test_the_smallest_distance_along_a_segment_is_exact(shape, half, start, end)
     assert distance <= sampled.min() + 1e-9
     # Where a bound from below is enough, it is one.
     far = inflated_obstacles(Scene.of([obstacle, obstacle]), [0.0])
-    bounded = Pairs(*(np.empty((1, 2)) for _ in range(3)))
-    measure(far, start[None], end[None], 0.0, -np.inf, bounded)
-    assert bounded.distance[0, 1] <= distance + 1e-12
+    bounded = link_clearance(far, start[None], end[None], enough=-np.inf)
+    assert bounded.distance[0, 0] == distance >= bounded.distance[0, 1] - 1e-12
 
 
 @settings(deadline=None, max_examples=300)
@@ -71,7 +70,7 @@ def test_the_smallest_distance_along_a_segment_is_exact(shape, half, start, end)
 def test_the_slope_leads_out_by_the_shortest_way(shape, half, at, step):
     obstacle = made(shape, np.zeros(3), half)
     maps = inflated_obstacles(Scene.of([obstacle]), [0.0])
-    away = maps.smallest[0, 0] * slope_at(maps, 0, 0, at, at, 0.0, 0.0)
+    away = maps.smallest[0, 0] * slope_at(maps, 0, 0, Place(*at), Place(*at), 0.0, 0.0)
     here, there, further = distances_at(obstacle, np.array([at, at + step, at + 0.05 * away]))
     assert np.linalg.norm(away) == pytest.approx(1.0)
     # Convex, with a slope of 1 at most; going along the direction uses all of it.
