@@ -114,7 +114,7 @@ def test_a_link_beyond_a_wall_may_come_in_but_not_go_further_out(panda):
     wall = low[0] + 0.05
     scene = Scene.of(walls((-2.0, wall, -2.0, 2.0, 2.0, 2.0)))
     planner = Planner(panda, PlannerParameters())
-    postures, results = drive(planner, PANDA_READY, np.zeros(6), scene, 0.5)
+    postures, _ = drive(planner, PANDA_READY, np.zeros(6), scene, 0.5)
     np.testing.assert_allclose(postures[-1], PANDA_READY, atol=1e-6)
     outwards, _ = drive(planner, PANDA_READY, np.array([0, -0.2, 0, 0, 0, 0.0]), scene, 2.0)
     assert lowest(panda, outwards, 1)[0].min() > low[0] - 1e-3
