@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import math
 from pathlib import Path
 from typing import Any
 
@@ -205,11 +206,14 @@ def stretched(ball: Array, shape: str, half_extents: Array) -> Array:
         ball: (..., 3) points of the unit ball's surface, each of which becomes one.
         shape, half_extents: of the obstacle.
     """
+    # A ball through the corners is pressed flat: many of its points then lie on the edges.
     if shape == BOX:
-        return ball / np.abs(ball).max(axis=-1, keepdims=True) * half_extents
+        return np.clip(math.sqrt(3.0) * ball, -1.0, 1.0) * half_extents
     if shape == CYLINDER:
-        around = np.linalg.norm(ball[..., :2], axis=-1, keepdims=True)
-        return ball / np.maximum(around, np.abs(ball[..., 2:])) * half_extents
+        around = math.sqrt(2.0) * np.linalg.norm(ball[..., :2], axis=-1, keepdims=True)
+        wide = math.sqrt(2.0) * ball[..., :2] / np.maximum(around, 1.0)
+        high = np.clip(math.sqrt(2.0) * ball[..., 2:], -1.0, 1.0)
+        return np.concatenate((wide, high), axis=-1) * half_extents
     if shape == CAPSULE:
         radius = half_extents[0]
         apart = np.array((0.0, 0.0, half_extents[2] - radius))
