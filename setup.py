@@ -32,7 +32,7 @@ setup(
         (SHARE, ['package.xml']),
         (f'{SHARE}/launch', glob('launch/*')),
         *((f'{SHARE}/config/{folder}', glob(f'config/{folder}/*'))
-          for folder in ('middleware', 'planner', 'robots', 'rviz', 'scenarios')),
+          for folder in ('middleware', 'perception', 'planner', 'robots', 'rviz', 'scenarios')),
     ],
     python_requires='>=3.10',
     # pin is Pinocchio on PyPI; apt's ros-jazzy-pinocchio provides the same module.
@@ -50,6 +50,8 @@ setup(
             f'planner_node = {PACKAGE}.nodes.planner_node:main',
             f'fake_hardware_node = {PACKAGE}.nodes.fake_hardware_node:main',
             f'scenario_player = {PACKAGE}.nodes.scenario_player:main',
+            f'cloud_obstacles = {PACKAGE}.nodes.cloud_obstacles:main',
+            f'depth_camera = {PACKAGE}.nodes.depth_camera:main',
             f'record_bag = {PACKAGE}.tools.record_bag:main',
             f'analyze_bag = {PACKAGE}.tools.analyze_bag:main',
             f'replay_bag = {PACKAGE}.tools.replay_bag:main',

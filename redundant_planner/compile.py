@@ -24,8 +24,8 @@ STEPS = (
       'core.safety.position_command', 'core.obstacles.motion_estimate', 'core.robot.model')),
     (('core.obstacles.evasion', 'core.safety.barriers'),
      ('core.redundancy.reference', 'core.safety.pace', 'core.obstacles.nearby',
-      'io.obstacle_tracker', 'io.preview_reader')),
-    (('core.tick',), ('core.horizon.path_qp',)),
+      'io.obstacle_tracker', 'io.preview_reader', 'perception.depth_camera')),
+    (('core.tick',), ('core.horizon.path_qp', 'perception.cloud_filter')),
     (('core.planner',), ()),
 )
 

@@ -17,7 +17,8 @@ import pytest
 SOURCE = Path(__file__).resolve().parent.parent
 IGNORED = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log',
                                  'demo_output')
-EXECUTABLES = ('planner_node', 'fake_hardware_node', 'scenario_player', 'demo', 'reproduce_paper')
+EXECUTABLES = ('planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
+               'depth_camera', 'demo', 'reproduce_paper')
 
 
 def colcon(workspace: Path, *arguments: str) -> str:
@@ -45,7 +46,7 @@ def test_everything_lies_where_ros2_looks_for_it(workspace):
     share = prefix / 'share' / 'redundant_planner'
     for name in ('package.xml', 'launch/demo.launch.py', 'config/robots/paper_2p5r.urdf',
                  'config/robots/panda.yaml', 'config/planner/default.yaml',
-                 'config/scenarios/paper.yaml',
+                 'config/scenarios/paper.yaml', 'config/perception/panda.yaml',
                  'config/middleware/localhost_udp.xml'):
         assert (share / name).is_file(), name
     index = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages'

@@ -25,6 +25,7 @@ from redundant_planner.io.node_parameters import (
     PlannerNodeParameters,
     PlayerParameters,
 )
+from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
 from redundant_planner.io.renamed_parameters import flat, what_became_of
 from redundant_planner.io.resources import read_text, resolve, yaml_content
 
@@ -32,7 +33,7 @@ Settings = TypeVar('Settings')
 
 # What a parameter file may hold besides the fields of the parameter dataclasses: named things, and
 # what every ROS node takes.
-_NAMED = ('capsule', 'static_obstacle')
+_NAMED = ('capsule', 'static_obstacle', 'self_capsule')
 
 _EVERY_NODES = ('use_sim_time', 'qos_overrides', 'start_type_description_service')
 
@@ -172,7 +173,7 @@ def read_parameter_file(path: Path) -> dict[str, Any]:
 def known_parameters() -> list[str]:
     """Return the names that a file for this package's nodes may set."""
     groups = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
-              PlayerParameters)
+              PlayerParameters, CloudParameters, CameraParameters)
     return [*(ros_name(entry) for group in groups for entry in fields(group)
               if spec_of(entry).node), *_NAMED, *_EVERY_NODES]
 

@@ -166,6 +166,25 @@ def build_robot(
     return robot_with(_fitted(bare, urdf_folder(p, folder), warn))
 
 
+def with_more_capsules(
+    robot: model.Robot, parameters: RobotParameters, more: Mapping[str, Mapping[str, Any]],
+) -> model.Robot:
+    """Return a robot with further shapes, which may be of links that do not move.
+
+    Args:
+        robot: as it is.
+        parameters: that it was built with.
+        more: name → {frame, start, end, radius}.
+
+    Raises:
+        RobotError, ObstacleError, ParameterError: with what is wrong.
+    """
+    if not more:
+        return robot
+    entries = {f'link {i}': capsule_entry(c) for i, c in enumerate(robot.capsules)} | dict(more)
+    return build_robot(replace(parameters, capsules=tuple(entries)), robot.urdf, entries)
+
+
 def _fitted(
     bare: model.Robot, folder: Path | None, warn: Callable[[str], object] | None,
 ) -> list[Capsule]:

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 
 class JointReader:
-    """Reads the positions of certain joints, in any order of the messages."""
+    """Reads the state of certain joints, in any order of the messages."""
 
     def __init__(self, joint_names: Sequence[str]) -> None:
         """Read the n joints of these names."""
@@ -44,6 +44,24 @@ class JointReader:
         if not all(-LARGEST <= value <= LARGEST for value in q):
             return values_of(self._layout.names, values, self._names, 'position')
         return np.array(q)
+
+    def state(self, raw: bytes) -> tuple[int, Array, Array | None]:
+        """Return stamp [ns], positions (n,) and velocities (n,) [rad, m; per s].
+
+        Velocities are None if the message has none, or one that cannot be.
+
+        Raises:
+            StateError: as `positions`.
+        """
+        q = self.positions(raw)
+        assert self._layout is not None  # it is that of this message now
+        seconds, nanoseconds = struct.unpack_from(f'{self._layout.order}iI', raw, STAMP)
+        stamp = seconds * NANOSECONDS + nanoseconds
+        if not self._layout.velocities:
+            return stamp, q, None
+        values = self._numbers.unpack_from(raw, self._layout.velocities)
+        dq = np.array([values[i] for i in self._index])
+        return stamp, q, dq if (np.abs(dq) <= LARGEST).all() else None
 
     def _learnt(self, raw: bytes) -> Array:
         """Read a message with all checks, and remember its layout."""

@@ -26,6 +26,7 @@ from redundant_planner.io.node_parameters import (
 )
 from redundant_planner.io.obstacle_entries import POSE_SIZES
 from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
 from redundant_planner.io.renamed_parameters import what_became_of
 from redundant_planner.nodes.disputed_parameters import disputed
 from redundant_planner.nodes.rclpy_internals import given_parameters
@@ -163,12 +164,13 @@ def unknown_parameters(node: Node) -> list[str]:
     """
     names = {*_ROS, *node.list_parameters([], 0).names}
     for settings in (RobotParameters, PlannerParameters, PlannerNodeParameters,
-                     FakeHardwareParameters, PlayerParameters):
+                     FakeHardwareParameters, PlayerParameters, CloudParameters,
+                     CameraParameters):
         names |= {ros_name(entry) for entry in fields(settings) if spec_of(entry).node}
     not_mine = ['qos_overrides.']
     for prefix, listed, sizes in (
-            ('capsule', 'capsules', CAPSULE), ('static_obstacle', 'static_obstacles',
-                                               STATIC_OBSTACLE)):
+            ('capsule', 'capsules', CAPSULE), ('self_capsule', 'self_capsules', CAPSULE),
+            ('static_obstacle', 'static_obstacles', STATIC_OBSTACLE)):
         if node.has_parameter(listed):
             names |= {f'{prefix}.{name}.{key}' for name in node.get_parameter(listed).value or ()
                       for key in sizes}
@@ -248,11 +250,13 @@ def parameter_page() -> str:
         'Parameters marked ● may change while the node runs (`ros2 param set`); a value that '
         'does not fit is refused with the reason, and nothing changes.', '']
     for title, settings in (
-            ('planner_node and fake_hardware_node: the robot', RobotParameters),
+            ('All nodes but scenario_player: the robot', RobotParameters),
             ('planner_node: the mathematics', PlannerParameters),
             ('planner_node: the loop', PlannerNodeParameters),
             ('fake_hardware_node', FakeHardwareParameters),
-            ('scenario_player', PlayerParameters)):
+            ('scenario_player', PlayerParameters),
+            ('cloud_obstacles', CloudParameters),
+            ('depth_camera', CameraParameters)):
         lines += [f'## {title}', '', '| parameter | default | unit | range | meaning |',
                   '|---|---|---|---|---|']
         for entry in fields(settings):

@@ -13,10 +13,11 @@ from redundant_planner.core.obstacles.scene import rotations
 from redundant_planner.io.obstacle_tracker import Transform
 
 
-def transform_lookup(node: Node, base_frame: str) -> Callable[[str], Transform] | None:
+def transform_lookup(node: Node, base_frame: str) -> Callable[..., Transform] | None:
     """Return a function from frame names to transforms; None if tf2_ros is not installed.
 
-    The node listens to /tf only from the first look-up on, as listening costs time.
+    Its second argument is the moment [ns]; left out or 0, the latest transform counts. The node
+    listens to /tf only from the first look-up on, as listening costs time.
     """
     try:
         import tf2_ros
@@ -25,12 +26,13 @@ def transform_lookup(node: Node, base_frame: str) -> Callable[[str], Transform] 
     buffers: list[tf2_ros.Buffer] = []
     listeners = []
 
-    def transform(frame: str) -> Transform:
+    def transform(frame: str, stamp_ns: int = 0) -> Transform:
         if not buffers:
             buffers.append(tf2_ros.Buffer())
             listeners.append(tf2_ros.TransformListener(buffers[0], node))
         try:
-            found = buffers[0].lookup_transform(base_frame, frame, Time()).transform
+            found = buffers[0].lookup_transform(
+                base_frame, frame, Time(nanoseconds=stamp_ns)).transform
         except tf2_ros.TransformException as error:
             raise ObstacleError(f'tf2 knows no way from there to {base_frame}: {error}') from None
         p, o = found.translation, found.rotation

@@ -68,8 +68,8 @@ class Processes:
         """Start a node of this package.
 
         Args:
-            node: 'planner_node', 'fake_hardware_node' or 'scenario_player', or a script that
-                takes the same arguments.
+            node: a module of `nodes` such as 'planner_node', or a script that takes the same
+                arguments.
             files: parameter files.
             values: single parameters, which win over the files.
             remap: names to remap.

@@ -1,0 +1,138 @@
+"""What cloud_obstacles and depth_camera need besides the robot.
+
+Not in nodes/, for tools without ROS read the same parameter files.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+from redundant_planner.core.errors import ParameterError
+from redundant_planner.core.parameters import check, parameter
+
+# Quaternions further from unit length than this are a mistake, not round-off.
+_QUATERNION_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True)
+class CloudParameters:
+    """What cloud_obstacles needs besides the robot.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    sensor_pose: tuple[float, ...] = parameter(
+        (), low=-1e3, high=1e3, unit='m', runtime=True,
+        description="Pose of the clouds' frame in the base frame: x y z and a quaternion "
+                    'x y z w. Empty: tf2 knows it, or the clouds are in the base frame. A pose '
+                    'that is off by more than self_margin makes the arm see itself.')
+    sensor_frame: str = parameter(
+        '', runtime=True,
+        description='Frame that sensor_pose is of; clouds in another frame are looked up in '
+                    'tf2. Empty: sensor_pose holds for every frame.')
+    crop_box: tuple[float, ...] = parameter(
+        (), low=-1e3, high=1e3, unit='m', runtime=True,
+        description='Box in the base frame outside which points do not count: x_min y_min z_min '
+                    'x_max y_max z_max. Empty for none. A table that the arm stands on and may '
+                    'touch lies outside it.')
+    reach_margin: float = parameter(
+        0.2, low=0.0, high=10.0, unit='m', runtime=True,
+        description="How far beyond the arm's reach points count. Less than the planner's "
+                    'clearance.influence_distance, and it learns of obstacles late.')
+    self_margin: float = parameter(
+        0.03, low=0.0, high=0.5, unit='m', runtime=True,
+        description='Points this close to the arm are taken to be the arm. Less than the error '
+                    'of camera and calibration, and the arm sees itself as an obstacle. Large '
+                    'values hide what comes near it.')
+    stamp_uncertainty: float = parameter(
+        0.01, low=0.0, high=1.0, unit='s', runtime=True,
+        description='By how much the stamps of clouds and joint_states may disagree. Links get '
+                    'thicker by how far they move in that time.')
+    voxel_size: float = parameter(
+        0.025, low=0.005, high=1.0, unit='m',
+        description='Edge of the cubes. Small ones cost the planner time, large ones close '
+                    'gaps that the arm would fit through.')
+    min_points: int = parameter(
+        2, low=1, high=1000, runtime=True,
+        description='A cube with fewer points is taken for noise. Too many, and what is far, '
+                    'thin or seen at a flat angle vanishes.')
+    persistence: float = parameter(
+        2.0, low=0.0, high=3600.0, unit='s', runtime=True,
+        description='How long a cube stays that clouds do not show any more, because something '
+                    'hides it. Too short, and the arm forgets what it hides itself; too long, '
+                    'and what has gone blocks it.')
+    ray_clearing: bool = parameter(
+        True, runtime=True,
+        description='Whether a cube is free as soon as the sensor sees through it. Only for '
+                    'clouds in the frame of the sensor itself: rays begin at its origin.')
+    self_capsules: tuple[str, ...] = parameter(
+        (), description='Names of shapes besides the link shapes that are not obstacles, such as '
+                        "the arm's base, cables or the camera's mount; each has the parameters "
+                        'self_capsule.NAME.frame, .start, .end and .radius.')
+
+    def __post_init__(self) -> None:
+        """Check every value and the relations between them."""
+        check(self)
+        _check_pose('sensor_pose', self.sensor_pose)
+        if len(self.crop_box) not in (0, 6):
+            raise ParameterError(f"parameter 'crop_box' has {len(self.crop_box)} entries; it "
+                                 'takes 6, x_min y_min z_min x_max y_max z_max, or none')
+        if self.crop_box and not all(
+                low < high for low, high in zip(self.crop_box[:3], self.crop_box[3:])):
+            raise ParameterError(f"parameter 'crop_box' is {list(self.crop_box)}; each maximum "
+                                 'must be larger than its minimum')
+
+
+@dataclass(frozen=True)
+class CameraParameters:
+    """What depth_camera needs besides the robot.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    camera_rate: float = parameter(
+        15.0, low=0.1, high=100.0, unit='Hz', description='Rate of points.')
+    camera_frame: str = parameter(
+        'camera', description='Frame of the clouds. It has the axes of an image: x to the right, '
+                              'y down, z forward.')
+    camera_pose: tuple[float, ...] = parameter(
+        (1.5, 0.0, 1.2, 0.615324, 0.615324, -0.348391, -0.348391), low=-1e3, high=1e3, unit='m',
+        description='Pose of the camera in the base frame: x y z and a quaternion x y z w. As it '
+                    'is, the camera stands in front of the arm and looks down at it.')
+    image_width: int = parameter(
+        320, low=1, high=1920, description='Points in a row.')
+    image_height: int = parameter(
+        240, low=1, high=1080, description='Rows.')
+    field_of_view: float = parameter(
+        1.2, low=0.05, high=3.0, unit='rad', description='Angle between the left and right edge.')
+    camera_range: float = parameter(
+        5.0, low=0.1, high=100.0, unit='m',
+        description='What is further away is not seen: its points are NaN.')
+    camera_noise: float = parameter(
+        0.0, low=0.0, high=0.1, unit='m',
+        description='Standard deviation of the distance along each ray.')
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check(self)
+        if not self.camera_pose:
+            raise ParameterError("parameter 'camera_pose' is empty; it takes 7 numbers")
+        _check_pose('camera_pose', self.camera_pose)
+
+
+def _check_pose(name: str, pose: tuple[float, ...]) -> None:
+    """Make sure that a pose is empty, or a position and a unit quaternion.
+
+    Raises:
+        ParameterError: it is not.
+    """
+    if len(pose) not in (0, 7):
+        raise ParameterError(f"parameter '{name}' has {len(pose)} entries; it takes 7, x y z and "
+                             'a quaternion x y z w')
+    length = math.hypot(*pose[3:])
+    if pose and abs(length - 1.0) > _QUATERNION_TOLERANCE:
+        raise ParameterError(f"parameter '{name}': its quaternion {list(pose[3:])} has length "
+                             f'{length:.3g}; it must be 1')
