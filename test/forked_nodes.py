@@ -21,7 +21,8 @@ from redundant_planner.tools.child_processes import die_with, Processes, ros_arg
 FORKS = get_context('forkserver')
 FORKS.set_forkserver_preload([
     __name__, *(f'redundant_planner.nodes.{node}' for node in (
-        'planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles', 'depth_camera'))])
+        'planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
+        'depth_camera'))])
 
 
 class ForkedProcesses(Processes):

@@ -42,8 +42,8 @@ NAMESPACE = 'cloud'
 _PATIENCE = 0.2
 # How often a waiting cloud looks for them [s].
 _LOOK_UP = 0.005
-# How long no cloud may come before that is worth a word [s].
-_SILENCE = 1.0
+# How long no cloud may come before that is worth a word, and how often it is said [s].
+_SILENCE, _REMINDER = 1.0, 5.0
 # Joint states that may wait: a second of them at the highest rate.
 _JOINT_STATES = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -74,9 +74,9 @@ class CloudObstacles(EndableNode):
         super().__init__('cloud_obstacles')
         self._warn = ThrottledLog(self.get_logger().warning)
         robot = declare(self, RobotParameters)
-        self._parameters = declare(self, CloudParameters)
+        self._settings = declare(self, CloudParameters)
         self._self_capsules = declare_entries(
-            self, 'self_capsule', self._parameters.self_capsules, CAPSULE)
+            self, 'self_capsule', self._settings.self_capsules, CAPSULE)
         # The cloud that is worked on, and the newest one behind it: older ones are dropped.
         self._waiting: _Cloud | None = None
         self._next: _Cloud | None = None
@@ -89,7 +89,7 @@ class CloudObstacles(EndableNode):
     def _start(self, robot: Robot, parameters: RobotParameters) -> None:
         """Begin to see for a robot that was built with these parameters."""
         own = with_more_capsules(robot, parameters, self._self_capsules)
-        self._filter = CloudFilter(own, self._parameters)
+        self._filter = CloudFilter(own, self._settings)
         self._base = robot.base_frame
         self._transform = transform_lookup(self, robot.base_frame)
         self._postures = PostureBuffer(robot.velocity_max)
@@ -102,11 +102,11 @@ class CloudObstacles(EndableNode):
         self.create_service(Trigger, '~/clear', self._on_clear)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_UP, self._work, clock=steady)
-        self.create_timer(_SILENCE, self._look_around, clock=steady)
+        self.create_timer(_REMINDER, self._look_around, clock=steady)
         on_change(self, lambda: (self._filter.parameters,), self._apply, 'self_capsule', {})
         self.get_logger().info(
             f"seeing obstacles for '{robot.name}' in {robot.base_frame}, in voxels of "
-            f'{self._parameters.voxel_size} m; joints: {", ".join(robot.joint_names)}')
+            f'{self._settings.voxel_size} m; joints: {", ".join(robot.joint_names)}')
 
     def _apply(
         self, parameters: CloudParameters, entries: Mapping[tuple[str, str], Any],

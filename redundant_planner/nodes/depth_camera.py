@@ -37,7 +37,7 @@ class DepthCameraNode(EndableNode):
         super().__init__('depth_camera')
         self._warn = ThrottledLog(self.get_logger().warning)
         robot = declare(self, RobotParameters)
-        self._parameters = p = declare(self, CameraParameters)
+        self._settings = p = declare(self, CameraParameters)
         self._camera = DepthCamera(
             p.image_width, p.image_height, p.field_of_view, p.camera_range, p.camera_noise)
         self._origin = np.array(p.camera_pose[:3])
@@ -55,20 +55,20 @@ class DepthCameraNode(EndableNode):
         self._robot = robot
         self._radii = np.array([capsule.radius for capsule in robot.capsules])
         self._reader = JointReader(robot.joint_names)
-        self._clock = loop_clock(self)
+        self._time = loop_clock(self)
         self._tracker = ObstacleTracker((), sorted({robot.base_frame, ''}))
         self._joints = PolledSubscription(self, JointState, 'joint_states')
         self._points = self.create_publisher(PointCloud2, 'points', QoSProfile(depth=1))
         self.create_subscription(
             MarkerArray, 'camera_obstacles', self._on_obstacles, 10, raw=True)
-        self.create_timer(1.0 / self._parameters.camera_rate, self._tick,
-                          clock=self._clock.timers)
+        self.create_timer(1.0 / self._settings.camera_rate, self._tick,
+                          clock=self._time.timers)
         self.get_logger().info(
-            f"a camera sees '{robot.name}' at {self._parameters.camera_rate} Hz, "
+            f"a camera sees '{robot.name}' at {self._settings.camera_rate} Hz, "
             f'{self._camera.width} × {self._camera.height} points')
 
     def _on_obstacles(self, raw: bytes) -> None:
-        for problem in self._tracker.update(raw, self._clock.now()):
+        for problem in self._tracker.update(raw, self._time.now()):
             self._warn(f'camera_obstacles: {problem}; ignored')
 
     def _tick(self) -> None:
@@ -86,13 +86,13 @@ class DepthCameraNode(EndableNode):
             self._warn('waiting for joint_states: the camera shows the arm where it is')
             return
         q, stamp_ns = self._seen
-        self._tracker.expire(self._clock.now())
+        self._tracker.expire(self._time.now())
         arm = self._robot.kinematics(q)
         bodies = together(arm_bodies(arm.segment_start, arm.segment_end, self._radii),
                           bodies_of(self._tracker.scene))
         self._points.publish(cloud_bytes(
             self._camera.points(self._origin, self._axes, bodies, self._random),
-            self._parameters.camera_frame, stamp_ns))
+            self._settings.camera_frame, stamp_ns))
 
 
 def main(args: list[str] | None = None) -> int:
