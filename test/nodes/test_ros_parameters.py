@@ -17,6 +17,7 @@ import yaml
 from redundant_planner.core.errors import ParameterError
 from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_of
 from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
 from redundant_planner.nodes.disputed_parameters import disputed
 from redundant_planner.nodes.ros_parameters import (
     changed,
@@ -168,7 +169,7 @@ def test_names_of_obstacles_may_have_dots():
 
 
 SETTINGS = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
-            PlayerParameters)
+            PlayerParameters, CloudParameters, CameraParameters)
 
 
 @pytest.mark.parametrize('settings', SETTINGS)
