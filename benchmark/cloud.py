@@ -28,21 +28,15 @@ from rich.table import Table
 
 from benchmark.scenarios import make_robot
 from benchmark.speed import STARTS, versions
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.cloud_layout import cloud_layout, points_of
 from redundant_planner.io.cloud_writer import cloud_bytes
 from redundant_planner.io.marker_writer import cube_list_bytes
 from redundant_planner.io.perception_parameters import CloudParameters
 from redundant_planner.perception.cloud_filter import CloudFilter, SensorPose
-from redundant_planner.perception.depth_camera import (
-    arm_bodies,
-    Bodies,
-    BOX,
-    CYLINDER,
-    DepthCamera,
-    ELLIPSOID,
-    together,
-)
+from redundant_planner.perception.depth_camera import arm_bodies, bodies_of, DepthCamera, together
 from redundant_planner.perception.posture_buffer import Fit, Posture
 
 Array = npt.NDArray[np.float64]
@@ -53,13 +47,16 @@ _CLOUDS = 10
 _NOISE = 0.003
 # x y z in the base frame, and the point that the camera looks at [m].
 _CAMERA, _LOOKS_AT = np.array([1.3, 0.5, 1.2]), np.array([0.2, 0.0, 0.4])
-# Shape, centre and half extents of what stands around the arm [m].
 _ROOM = (
-    (BOX, (0.55, 0.0, -0.02), (0.35, 0.9, 0.02)), (BOX, (0.0, 0.75, 0.5), (0.4, 0.02, 0.5)),
-    (BOX, (0.0, 0.65, 0.6), (0.4, 0.1, 0.01)), (BOX, (-0.9, 0.0, 0.6), (0.02, 1.5, 1.2)),
-    (BOX, (0.0, 0.0, -0.8), (4.0, 4.0, 0.02)), (BOX, (0.0, -1.8, 0.5), (4.0, 0.02, 2.0)),
-    (CYLINDER, (0.5, -0.35, 0.1), (0.05, 0.05, 0.1)),
-    (ELLIPSOID, (0.6, 0.25, 0.08), (0.08, 0.08, 0.08)), (BOX, (0.4, 0.5, 0.1), (0.1, 0.06, 0.1)))
+    Obstacle.box('table', (0.55, 0.0, -0.02), (0.7, 1.8, 0.04)),
+    Obstacle.box('back of the shelf', (0.0, 0.75, 0.5), (0.8, 0.04, 1.0)),
+    Obstacle.box('shelf', (0.0, 0.65, 0.6), (0.8, 0.2, 0.02)),
+    Obstacle.box('panel', (-0.9, 0.0, 0.6), (0.04, 3.0, 2.4)),
+    Obstacle.box('floor', (0.0, 0.0, -0.8), (8.0, 8.0, 0.04)),
+    Obstacle.box('wall', (0.0, -1.8, 0.5), (8.0, 0.04, 4.0)),
+    Obstacle.cylinder('can', (0.5, -0.35, 0.1), 0.05, 0.2),
+    Obstacle('ball', (0.6, 0.25, 0.08), (0.08, 0.08, 0.08)),
+    Obstacle.box('carton', (0.4, 0.5, 0.1), (0.2, 0.12, 0.2)))
 
 
 def main(args: list[str] | None = None) -> int:
@@ -124,9 +121,7 @@ def views(robot: Robot, points: int) -> tuple[SensorPose, list[bytes], list[Post
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     axes = np.column_stack([right, np.cross(ahead, right), ahead])
-    room = Bodies(np.array([shape for shape, _, _ in _ROOM]),
-                  np.array([center for _, center, _ in _ROOM]),
-                  np.array([np.eye(3)] * len(_ROOM)), np.array([half for _, _, half in _ROOM]))
+    room = bodies_of(Scene.of(_ROOM))
     random, messages, postures = np.random.default_rng(0), [], []
     radii = np.array([capsule.radius for capsule in robot.capsules])
     speed = np.full(robot.n, 0.5)

@@ -11,22 +11,16 @@ import numpy.typing as npt
 
 from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Stack, Vector
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.shapes import BOX, CAPSULE, CYLINDER, HALF_SPACE
 
 Array = npt.NDArray[np.float64]
-
-# Shapes by their numbers in `Bodies`.
-ELLIPSOID, BOX, CYLINDER, CAPSULE = range(4)
 
 
 class Bodies(NamedTuple):
     """Solid shapes in the base frame.
 
     Attributes:
-        shapes: (k,) ELLIPSOID, BOX, CYLINDER or CAPSULE.
-        centers: (k, 3) [m].
-        rotations: (k, 3, 3) axes of each in the base frame; z is that of cylinder and capsule.
-        half_extents: (k, 3) semi-axes of an ellipsoid, half the size of a box, (r, r, h/2) of a
-            cylinder, (r, r, l/2 + r) of a capsule whose axis is l long [m].
+        shapes, centers, rotations, half_extents: of the k bodies, as in `Scene`.
     """
 
     shapes: Indices
@@ -85,9 +79,10 @@ class DepthCamera:
 
 
 def bodies_of(scene: Scene) -> Bodies:
-    """Return the obstacles of a scene as bodies."""
-    return Bodies(np.full(len(scene.names), ELLIPSOID, np.intp), scene.centers.copy(),
-                  scene.rotations.copy(), scene.semi_axes.copy())
+    """Return the obstacles of a scene as bodies; walls without end are no bodies."""
+    solid = scene.shapes != HALF_SPACE
+    return Bodies(scene.shapes[solid], scene.centers[solid], scene.rotations[solid],
+                  scene.half_extents[solid])
 
 
 def arm_bodies(start: Array, end: Array, radii: Array) -> Bodies:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from redundant_planner.core.obstacles.obstacle import SHAPES
 from redundant_planner.perception.cloud_filter import SensorPose
 from redundant_planner.perception.depth_camera import arm_bodies, Bodies, DepthCamera, together
 from redundant_planner.perception.posture_buffer import Fit, Posture
 
 CAMERA = DepthCamera(160, 120, 1.2, 5.0)
-SHAPES = ('ellipsoid', 'box', 'cylinder', 'capsule')
 
 
 def looking(origin, at) -> SensorPose:

@@ -8,12 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.obstacle import Obstacle, SHAPES as ALL_SHAPES
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.perception.depth_camera import bodies_of, DepthCamera, distances
 from redundant_planner.perception.own_shape import own_shape
 
-SHAPES = ('ellipsoid', 'box', 'cylinder', 'capsule')
+SHAPES = ALL_SHAPES[:4]  # all but walls without end
 
 
 def one_ray(bodies, origin, direction, farthest=100.0):
@@ -137,15 +137,24 @@ def test_noise_is_along_the_ray():
     np.testing.assert_allclose(np.cross(noisy, plain), 0.0, atol=1e-12)
 
 
-def test_the_arm_and_the_obstacles_of_a_scene_are_seen_where_they_are(panda):
+PLACE = {'orientation': (0.0, 0.6, 0.0, 0.8)}
+OBSTACLES = (
+    Obstacle('ball', [0.5, 0.3, 0.4], [0.1, 0.15, 0.2], **PLACE),
+    Obstacle.box('box', [0.5, 0.3, 0.4], [0.2, 0.3, 0.4], **PLACE),
+    Obstacle.cylinder('can', [0.5, 0.3, 0.4], 0.1, 0.4, **PLACE),
+    Obstacle.capsule('pipe', [0.5, 0.3, 0.4], 0.1, 0.2, **PLACE))
+
+
+@pytest.mark.parametrize('obstacle', OBSTACLES, ids=lambda o: o.shape)
+def test_the_arm_and_the_obstacles_of_a_scene_are_seen_where_they_are(panda, obstacle):
     pose = looking((1.5, 0.3, 1.2), (0.0, 0.0, 0.4))
-    obstacle = Obstacle('ball', [0.5, 0.3, 0.4], [0.1, 0.15, 0.2], (0.0, 0.6, 0.0, 0.8))
+    wall = Obstacle.half_space('wall', [0.0, 0.0, 0.0])
     points = in_base(seen(pose, together(
-        arm_of(panda, PANDA_READY), bodies_of(Scene.of([obstacle])))), pose)
+        arm_of(panda, PANDA_READY), bodies_of(Scene.of([obstacle, wall])))), pose)
     own = own_shape(panda, PANDA_READY, np.zeros(7), 0.0, 0.0)
     to_arm = np.abs(distances_to(own, points, own.radius))
-    inside = (points - obstacle.center) @ obstacle.rotation / obstacle.semi_axes
-    to_ball = np.abs(np.linalg.norm(inside, axis=1) - 1.0)
-    assert np.minimum(to_arm, to_ball).max() < 1e-9
-    assert (to_arm < 1e-9).sum() > 300 and (to_ball < 1e-9).sum() > 100
+    to_obstacle = np.abs(level(obstacle.shape, obstacle.half_extents,
+                               (points - obstacle.center) @ obstacle.rotation))
+    assert np.minimum(to_arm, to_obstacle).max() < 1e-9
+    assert (to_arm < 1e-9).sum() > 300 and (to_obstacle < 1e-9).sum() > 100
     assert CAMERA.width * CAMERA.height > len(points)
