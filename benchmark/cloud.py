@@ -5,8 +5,9 @@
 A camera looks at a moving Panda in a room: a table, a shelf, things on them and walls, half of
 what it sees within the arm's reach. Each cloud has noise of its own. The time begins with the
 message's bytes and ends with those of the markers; `steps_us` says where it goes. The other
-layout has big-endian numbers and gaps between points and rows, as no driver would write it. Median
-and 99th percentile are those of one process.
+layout has big-endian doubles and gaps between points and rows, as no driver would write it; in the
+shuffled one the points of an image come in random order, so that no two neighbours share a voxel.
+Median and 99th percentile are those of one process.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from redundant_planner.perception.posture_buffer import Fit, Posture
 
 Array = npt.NDArray[np.float64]
 
+LAYOUTS = ('usual', 'other', 'shuffled')
 _RATE = 30.0
 # Different clouds, shown again and again.
 _CLOUDS = 10
@@ -70,7 +72,7 @@ def main(args: list[str] | None = None) -> int:
     # One core, whichever is free.
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     result: dict[str, Any] = {'points': options.points, 'versions': versions()}
-    for layout in ('usual', 'other'):
+    for layout in LAYOUTS:
         result[layout] = measure(
             options.points, options.clouds, CloudParameters(voxel_size=options.voxel_size), layout)
     show(result)
@@ -85,6 +87,8 @@ def measure(points: int, clouds: int, parameters: CloudParameters, layout: str) 
     pose, messages, postures = views(robot, points)
     if layout == 'other':
         messages = [awkward(raw) for raw in messages]
+    if layout == 'shuffled':
+        messages = [shuffled(raw) for raw in messages]
     world, room = CloudFilter(robot, parameters), np.empty((3, points))
     total, steps = np.empty(clouds), []
     voxels = 0
@@ -152,21 +156,27 @@ def awkward(raw: bytes) -> bytes:
     return head + struct.pack('<B3x3I', 1, step, row, len(data)) + data.tobytes() + b'\0'
 
 
+def shuffled(raw: bytes) -> bytes:
+    """Return a cloud with the same points in random order."""
+    layout = cloud_layout(raw)
+    points = np.random.default_rng(0).permutation(points_of(raw, layout).T)
+    return cloud_bytes(points[None], layout.frame, layout.stamp_ns)
+
+
 def show(result: dict[str, Any]) -> None:
     """Print the figures."""
     table = Table(title=f'{result["points"]} points to voxels, on one core')
     table.add_column('')
-    layouts = ('usual', 'other')
-    for layout in layouts:
+    for layout in LAYOUTS:
         table.add_column(f'{layout} layout', justify='right')
     for name, unit in (('median_ms', 'ms'), ('p99_ms', 'ms'), ('longest_ms', 'ms'),
                        ('voxels', ''), ('bytes', '')):
-        table.add_row(name, *(f'{result[layout][name]:.4g} {unit}' for layout in layouts))
+        table.add_row(name, *(f'{result[layout][name]:.4g} {unit}' for layout in LAYOUTS))
     for step in result['usual']['steps_us']:
         table.add_row(f'  {step}', *(
             f'{result[layout]["steps_us"][step] / 1e3:.2f} ms, '
             f'{0.1 * result[layout]["steps_us"][step] / result[layout]["median_ms"]:.0f} %'
-            for layout in layouts))
+            for layout in LAYOUTS))
     Console(width=100).print(table)
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.perception_parameters import CloudParameters
 from redundant_planner.perception.own_shape import (
-    outside,
+    keep_outside,
     own_shape,
     OwnShape,
     reach_of,
@@ -68,6 +68,8 @@ class CloudFilter:
         self._robot = robot
         self._center, self._reach = reach_of(robot)
         self._rays = no_rays()
+        # For the points that are left; fresh memory for each cloud costs milliseconds.
+        self._room = np.empty((3, 0))
 
     def see(self, points: Array, pose: SensorPose, posture: Posture, stamp: float) -> Array:
         """Take in a cloud.
@@ -86,12 +88,15 @@ class CloudFilter:
             self._robot, posture.q, posture.speed, p.self_margin, p.stamp_uncertainty)
         clears = p.ray_clearing and pose.at_sensor
         if clears:
-            self._timed('rays', lambda: fill_rays(points, *self._rays))
-        near = self._timed('crop', lambda: cropped(
-            points, pose.origin, pose.axes, np.append(self._center, self._reach + p.reach_margin),
-            self._box()))
-        others = self._timed('self filter', lambda: outside(near, own))
-        keys, counts = self._timed('voxels', lambda: counted(others, p.voxel_size))
+            self._timed('rays', lambda: fill_rays(points, self._rays))
+        if self._room.shape[1] < points.shape[1]:
+            self._room = np.empty_like(points)
+        ball = np.append(self._center, self._reach + p.reach_margin)
+        count = self._timed('crop', lambda: cropped(
+            points, pose.origin, pose.axes, ball, self._box(), self._room))
+        count = self._timed('self filter', lambda: keep_outside(self._room[:, :count], own))
+        keys, counts = self._timed('voxels', lambda: counted(
+            self._room[:, :count], p.voxel_size))
 
         def judge(unseen: Keys) -> tuple[Flags, Flags]:
             return self._judge(unseen, own, pose, clears)

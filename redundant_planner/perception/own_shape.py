@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, kernel, Matrix, Vector
+from redundant_planner.core.kernels import compiled, kernel, Matrix, OutMatrix, Vector
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
@@ -94,8 +94,8 @@ def _squared_distance(own: OwnShape, link: int, x: float, y: float, z: float) ->
 
 
 @compiled
-def outside(points: Matrix, own: OwnShape) -> Array:
-    """Return the points (3, n) that cannot be of the arm, (3, m).
+def keep_outside(points: OutMatrix, own: OwnShape) -> int:
+    """Move the points (3, n) that cannot be of the arm to the front; return how many there are.
 
     A box around the whole arm and a ball around each link tell most of them at once.
     """
@@ -111,10 +111,8 @@ def outside(points: Matrix, own: OwnShape) -> Array:
             low[axis] = min(low[axis], min(a, b) - own.thick[link])
             high[axis] = max(high[axis], max(a, b) + own.thick[link])
         ball[link, 3] = (math.sqrt(half) + own.thick[link]) ** 2
-    count = points.shape[1]
-    kept = np.empty((3, count))
     m = 0
-    for i in range(count):
+    for i in range(points.shape[1]):
         x, y, z = points[0, i], points[1, i], points[2, i]
         free = True
         if (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
@@ -124,10 +122,9 @@ def outside(points: Matrix, own: OwnShape) -> Array:
                         own, link, x, y, z) <= own.thick[link] * own.thick[link]:
                     free = False
                     break
-        if free:
-            kept[0, m], kept[1, m], kept[2, m] = x, y, z
-            m += 1
-    return kept[:, :m]
+        points[0, m], points[1, m], points[2, m] = x, y, z
+        m += free
+    return m
 
 
 @compiled

@@ -8,12 +8,11 @@ and how many points it has.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, kernel, Matrix, OutVector, Vector
+from redundant_planner.core.kernels import compiled, kernel, Matrix, OutMatrix
 
 Array = npt.NDArray[np.float64]
 
@@ -24,21 +23,13 @@ BIN_COUNT = 6 * _BINS * _BINS
 _NEAREST = 2.0
 
 
-class Rays(NamedTuple):
-    """What the bins know.
+def no_rays() -> Array:
+    """Return bins to fill, for one cloud after another (BIN_COUNT, 2).
 
-    Attributes:
-        nearest: (BIN_COUNT,) squared distance of the nearest point [m²], infinite for none.
-        counts: (BIN_COUNT,) points.
+    Each has the squared distance of its nearest point [m²], infinite for none, and beside it how
+    many points it has.
     """
-
-    nearest: Vector
-    counts: Vector
-
-
-def no_rays() -> Rays:
-    """Return bins to fill, for one cloud after another."""
-    return Rays(np.full(BIN_COUNT, np.inf), np.zeros(BIN_COUNT))
+    return np.tile([np.inf, 0.0], (BIN_COUNT, 1))
 
 
 @kernel
@@ -59,15 +50,15 @@ def _bin(share: float) -> int:
 
 
 @compiled
-def fill_rays(points: Matrix, nearest: OutVector, counts: OutVector) -> None:
+def fill_rays(points: Matrix, rays: OutMatrix) -> None:
     """Write the bins of a cloud.
 
     Args:
         points: (3, n) in the sensor's frame, NaN and infinite ones among them [m].
-        nearest, counts: of `Rays`.
+        rays: of `no_rays`.
     """
-    for i in range(len(nearest)):
-        nearest[i], counts[i] = np.inf, 0.0
+    for i in range(len(rays)):
+        rays[i, 0], rays[i, 1] = np.inf, 0.0
     for i in range(points.shape[1]):
         x, y, z = points[0, i], points[1, i], points[2, i]
         squared = x * x + y * y + z * z
@@ -76,13 +67,12 @@ def fill_rays(points: Matrix, nearest: OutVector, counts: OutVector) -> None:
         face, a, b, away = _on_cube(x, y, z)
         scale = 1.0 / away
         at = (face * _BINS + _bin(a * scale)) * _BINS + _bin(b * scale)
-        counts[at] += 1.0
-        if squared < nearest[at]:
-            nearest[at] = squared
+        rays[at, 0] = min(rays[at, 0], squared)
+        rays[at, 1] += 1.0
 
 
 @compiled
-def seen_through(centers: Matrix, size: float, needed: float, rays: Rays) -> Array:
+def seen_through(centers: Matrix, size: float, needed: float, rays: Matrix) -> Array:
     """Return 1 for the cubes that the sensor sees through, else 0, (k,).
 
     As many rays must pass through a cube as points would make an obstacle of it, and all rays
@@ -114,12 +104,12 @@ def seen_through(centers: Matrix, size: float, needed: float, rays: Rays) -> Arr
         for row in range(_bin(a / away - spread_a), _bin(a / away + spread_a) + 1):
             for column in range(_bin(b / away - spread_b), _bin(b / away + spread_b) + 1):
                 at = (face * _BINS + row) * _BINS + column
-                if rays.nearest[at] < behind:
+                if rays[at, 0] < behind:
                     free = False
                     break
                 if (inner_low_a <= row <= inner_high_a
                         and inner_low_b <= column <= inner_high_b):
-                    passing += rays.counts[at]
+                    passing += rays[at, 1]
             if not free:
                 break
         if free and passing >= needed:

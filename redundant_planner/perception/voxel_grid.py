@@ -11,7 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Vector
+from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, OutMatrix, Vector
 
 Array = npt.NDArray[np.float64]
 Keys = npt.NDArray[np.intp]
@@ -42,9 +42,9 @@ def key_of(point: npt.ArrayLike, size: float) -> int:
 
 @compiled
 def cropped(
-    points: Matrix, origin: Vector, axes: Matrix, ball: Vector, box: Matrix,
-) -> Array:
-    """Return the points (3, n) that lie within a ball and a box, in the base frame (3, m) [m].
+    points: Matrix, origin: Vector, axes: Matrix, ball: Vector, box: Matrix, kept: OutMatrix,
+) -> int:
+    """Write the points (3, n) that lie within a ball and a box; return how many there are.
 
     NaN and infinite ones lie in neither.
 
@@ -54,24 +54,23 @@ def cropped(
         axes: (3, 3) of that frame in the base frame.
         ball: (4,) centre and radius [m].
         box: (2, 3) lowest and highest corner [m].
+        kept: (3, n or more) what is written, in the base frame [m].
     """
-    count, m = points.shape[1], 0
-    squared = ball[3] * ball[3]
-    kept = np.empty((3, count))
+    m, squared = 0, ball[3] * ball[3]
     r00, r01, r02 = axes[0, 0], axes[0, 1], axes[0, 2]
     r10, r11, r12 = axes[1, 0], axes[1, 1], axes[1, 2]
     r20, r21, r22 = axes[2, 0], axes[2, 1], axes[2, 2]
-    for i in range(count):
+    for i in range(points.shape[1]):
         a, b, c = points[0, i], points[1, i], points[2, i]
         x = r00 * a + r01 * b + r02 * c + origin[0]
         y = r10 * a + r11 * b + r12 * c + origin[1]
         z = r20 * a + r21 * b + r22 * c + origin[2]
         dx, dy, dz = x - ball[0], y - ball[1], z - ball[2]
-        if (dx * dx + dy * dy + dz * dz <= squared and box[0, 0] <= x <= box[1, 0]
-                and box[0, 1] <= y <= box[1, 1] and box[0, 2] <= z <= box[1, 2]):
-            kept[0, m], kept[1, m], kept[2, m] = x, y, z
-            m += 1
-    return kept[:, :m]
+        # No jumps: in a cloud without order, nobody could foretell them.
+        kept[0, m], kept[1, m], kept[2, m] = x, y, z
+        m += ((dx * dx + dy * dy + dz * dz <= squared) & (box[0, 0] <= x) & (x <= box[1, 0])
+              & (box[0, 1] <= y) & (y <= box[1, 1]) & (box[0, 2] <= z) & (z <= box[1, 2]))
+    return m
 
 
 @kernel

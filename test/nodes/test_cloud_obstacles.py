@@ -16,7 +16,10 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.io.cloud_writer import cloud_bytes
 from redundant_planner.nodes.messages import markers_of
 
@@ -27,7 +30,9 @@ START = {'urdf': PANDA_URDF, 'initial_joints': [f'panda_joint{i}' for i in range
          'initial_positions': PANDA_READY.tolist()}
 BALL = Obstacle('ball', [0.45, 0.45, 0.5], [0.1, 0.1, 0.1])
 # Far behind all that, out of the arm's reach: what the camera sees when nothing is before it.
-BACKDROP = Obstacle('backdrop', [-5.0, 0.0, 0.0], [3.0, 8.0, 8.0])
+BACKDROP = Obstacle.box('backdrop', [-1.8, 0.0, 0.0], [0.1, 9.0, 9.0])
+# Beside the elbow: the least-norm motion along y would run into it.
+CARTON = Obstacle.box('carton', [0.05, 0.33, 0.62], [0.2, 0.06, 0.2])
 BASE = 'panda_link0'
 
 
@@ -217,6 +222,47 @@ def test_what_a_camera_sees_of_an_obstacle_is_covered_and_gone_with_it():
         world.publish(MarkerArray(markers=[
             Marker(ns='ball', id=0, action=Marker.DELETE)]))
         ros.wait_for(lambda: len(seer.cubes()) == 0, 'the way free')
+
+
+def test_a_panda_passes_what_only_a_camera_sees():
+    """Camera, cloud_obstacles and planner_node; the carton itself is judged, not its voxels."""
+    panda, twist, start = make_panda(), np.array([0.0, 0.06, 0.0, 0.0, 0.0, 0.0]), PANDA_READY
+    scene, radii = Scene.of([CARTON]), [capsule.radius for capsule in panda.capsules]
+
+    def clearance(q):
+        arm = panda.kinematics(q)
+        return link_clearance(inflated_obstacles(scene, radii), arm.segment_start,
+                              arm.segment_end).distance.min()
+
+    unaware, smallest = np.array(start), np.inf
+    for _ in range(400):
+        unaware = unaware + 0.01 * np.linalg.pinv(panda.kinematics(unaware).jacobian) @ twist
+        smallest = min(smallest, clearance(unaware))
+    assert smallest < -0.005
+    with station() as (ros, processes):
+        world = ros.node.create_publisher(MarkerArray, 'camera_obstacles', 10)
+        processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], START)
+        processes.start('depth_camera', FILES, {**VALUES, 'camera_noise': 0.002})
+        seer = Seer(ros, processes)
+        processes.start('planner_node', [ROBOTS / 'panda.yaml'],
+                        {**VALUES, 'incoming_command_timeout': 1.0})
+        ros.wait_for(lambda: seer.markers and ros.commands and world.get_subscription_count()
+                     and ros.twist.get_subscription_count(), 'start')
+        world.publish(markers_of([CARTON, BACKDROP], BASE))
+        ros.wait_for(lambda: len(seer.cubes()) > 20, 'the carton')
+        ros.wait_for(lambda: any(
+            value.key == 'obstacles' and int(value.value) > 20
+            for status in ros.statuses[-1:] for value in status.values), 'the planner knows')
+        ros.states.clear()
+        before = panda.kinematics(ros.state(panda.joint_names)).tip_position
+        ros.drive(twist, 5.0)
+        ros.wait_for(ros.at_rest, 'rest')
+        names = ros.states[-1].name
+        order = [names.index(name) for name in panda.joint_names]
+        postures = np.array([message.position for message in ros.states])[:, order]
+    assert min(clearance(q) for q in postures) > 0.0
+    moved = panda.kinematics(postures[-1]).tip_position - before
+    assert moved[1] > 0.5 * 0.06 * 5.0 and np.abs(moved[[0, 2]]).max() < 1e-3
 
 
 def test_without_joint_states_nothing_is_seen_and_a_silent_camera_is_missed():

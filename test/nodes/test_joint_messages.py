@@ -52,6 +52,24 @@ def test_positions_are_read_as_rclpy_reads_them_whatever_else_is_there(names, da
             positions_from_message(message, wanted))
 
 
+@given(NAMES, st.integers(0, 2**31 * 10**9 - 1), st.data())
+def test_a_state_has_its_stamp_and_velocities_if_there_are_any(names, stamp, data):
+    reader, order = JointReader(names), data.draw(st.permutations(names))
+    for velocities in ([], data.draw(st.lists(NUMBERS, min_size=len(names),
+                                              max_size=len(names)))):
+        message = JointState(name=order, position=np.arange(len(names)), velocity=velocities)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+        found_at, q, dq = reader.state(bytes(serialize_message(message)))
+        assert found_at == stamp
+        np.testing.assert_array_equal(q, [order.index(name) for name in names])
+        if velocities:
+            np.testing.assert_array_equal(dq, [velocities[order.index(n)] for n in names])
+            message.velocity[0] = np.nan
+            assert reader.state(bytes(serialize_message(message)))[2] is None
+        else:
+            assert dq is None
+
+
 @pytest.mark.parametrize('names, positions, problem', [
     (['a', 'b'], [0.1, np.nan], r"position of joint 'b' is nan"),
     (['a', 'c'], [0.1, 0.2], r"joints are missing: 'b'"),
