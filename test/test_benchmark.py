@@ -16,9 +16,10 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.perception_parameters import CloudParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-from benchmark import loop, speed
+from benchmark import cloud, loop, speed
 from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, Task
 from benchmark.judge import Judge
@@ -195,3 +196,13 @@ def test_an_arm_does_not_whip_off_its_path():
     outcome = run_planner(robot, METHODS['variational_held'], Judge(robot),
                           Task(0, start, twist, obstacles))
     assert outcome.verdict.path_error < 1e-3
+
+
+def test_the_cloud_benchmark_times_the_same_points_in_every_layout():
+    parameters = CloudParameters(min_points=1)
+    found = [cloud.measure(1200, 12, parameters, layout) for layout in cloud.LAYOUTS]
+    assert found[0]['voxels'] == found[1]['voxels'] == found[2]['voxels'] > 100
+    assert found[1]['bytes'] > 2 * found[0]['bytes'] > 2 * 1200 * 16
+    for result in found:
+        assert 0.0 < result['median_ms'] <= result['p99_ms'] <= result['longest_ms']
+        assert min(result['steps_us'].values()) > 0.0

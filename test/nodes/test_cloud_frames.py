@@ -73,7 +73,8 @@ def node(monkeypatch):
         writer = JointWriter(make_panda().joint_names)
         states = [(writer.message(STAMP + i * 10**7, PANDA_READY, np.zeros(7)), 0)
                   for i in range(-20, 20)]
-        monkeypatch.setattr(made._joints, 'fetch_stamped', lambda: states)
+        monkeypatch.setattr(made._joints, 'fetch_stamped',
+                            lambda: [states.pop(0) for _ in range(len(states))])
         yield made
         made.destroy_node()
     finally:
