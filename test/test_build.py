@@ -44,7 +44,9 @@ def test_everything_lies_where_ros2_looks_for_it(workspace):
     for name in EXECUTABLES:
         assert os.access(prefix / 'lib' / 'redundant_planner' / name, os.X_OK), name
     share = prefix / 'share' / 'redundant_planner'
-    for name in ('package.xml', 'launch/demo.launch.py', 'config/robots/paper_2p5r.urdf',
+    for name in ('package.xml', 'launch/demo.launch.py', 'launch/camera.launch.py',
+                 'config/robots/paper_2p5r.urdf', 'config/scenarios/panda_camera.yaml',
+                 'config/middleware/large_clouds.xml',
                  'config/robots/panda.yaml', 'config/planner/default.yaml',
                  'config/scenarios/paper.yaml', 'config/perception/panda.yaml',
                  'config/middleware/localhost_udp.xml'):

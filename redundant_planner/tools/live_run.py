@@ -33,6 +33,8 @@ _TOPICS = {
     'cmd_vel_preview': (
         MultiDOFJointTrajectory, 'trajectory_msgs/msg/MultiDOFJointTrajectory'),
     'obstacles': (MarkerArray, 'visualization_msgs/msg/MarkerArray'),
+    # What the test camera sees, in a bag beside what the planner knows.
+    'camera_obstacles': (MarkerArray, 'visualization_msgs/msg/MarkerArray'),
     'robot_description': (String, 'std_msgs/msg/String'),
     'planner_node/configuration': (String, 'std_msgs/msg/String'),
     'planner_node/ticks': (Float64MultiArray, 'std_msgs/msg/Float64MultiArray'),
@@ -60,8 +62,8 @@ class LiveRun:
 
 def play(
     scenario: Scenario, scenario_file: Path, bag: Path, *, planner_files: Sequence[Path] = (),
-    planner_values: Mapping[str, object] | None = None, domain_id: int | None = None,
-    kind: type[Processes] = Processes,
+    planner_values: Mapping[str, object] | None = None, camera_files: Sequence[Path] = (),
+    domain_id: int | None = None, kind: type[Processes] = Processes,
 ) -> LiveRun:
     """Play a scenario through planner_node and fake_hardware_node and record it.
 
@@ -70,7 +72,9 @@ def play(
         scenario_file: its file.
         bag: folder to write, must not exist.
         planner_files: parameter files for the planner besides the robot's.
-        planner_values: single parameters; 'urdf' goes to the fake hardware as well.
+        planner_values: single parameters; 'urdf' goes to the other nodes as well.
+        camera_files: parameter files for depth_camera and cloud_obstacles besides the robot's; if
+            there are any, the scenario's obstacles are shown to the camera alone.
         domain_id: ROS domain; one derived from the process number if not given.
         kind: of processes the nodes are.
 
@@ -81,8 +85,7 @@ def play(
     values = dict(planner_values or {})
     arm = {'initial_joints': list(scenario.start),
            'initial_positions': list(scenario.start.values())}
-    if 'urdf' in values:
-        arm['urdf'] = values['urdf']
+    urdf = {'urdf': values['urdf']} if 'urdf' in values else {}
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     keep_off_shared_memory()
     context = Context()
@@ -92,14 +95,19 @@ def play(
             node = Node('recorder', context=context, enable_rosout=False,
                         start_parameter_services=False)
             recorder = _Recorder(node, writer)
-            processes.start('fake_hardware_node', [scenario.robot_file], arm)
+            processes.start('fake_hardware_node', [scenario.robot_file], {**arm, **urdf})
+            for name in ('depth_camera', 'cloud_obstacles') if camera_files else ():
+                processes.start(name, [scenario.robot_file, *camera_files], urdf)
             planner = processes.start(
                 'planner_node', [scenario.robot_file, *planner_files], values)
             _wait_until(lambda: 'joint_command' in recorder.seen, processes, recorder,
                         _START_PATIENCE, 'no joint_command was published')
+            if camera_files:
+                _wait_until(lambda: 'obstacles' in recorder.seen, processes, recorder,
+                            _START_PATIENCE, 'cloud_obstacles published nothing')
             player = processes.start(
-                'scenario_player', values={'scenario': scenario_file, 'subscribers': 2, **(
-                    {'urdf': values['urdf']} if 'urdf' in values else {})})
+                'scenario_player', values={'scenario': scenario_file, 'subscribers': 2, **urdf},
+                remap={'obstacles': 'camera_obstacles'} if camera_files else None)
             _wait_until(lambda: 'cmd_vel' in recorder.seen, processes, recorder,
                         _START_PATIENCE, 'no cmd_vel was published')
             begin, used = time.monotonic(), cpu_seconds(planner.pid)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from conftest import make_panda, PANDA_READY, PANDA_URDF, ROBOTS
+from forked_nodes import ForkedProcesses
 from live_helpers import LIVE, run_node, station
 import numpy as np
 import pytest
@@ -16,12 +17,18 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.inflation import inflated_obstacles
+from redundant_planner.analysis.metrics import smallest_clearance
+from redundant_planner.analysis.replay_inputs import read_inputs
 from redundant_planner.core.obstacles.obstacle import Obstacle
-from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.cloud_writer import cloud_bytes
+from redundant_planner.io.parameter_files import settings_of
+from redundant_planner.io.recording import read_recording
+from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes.messages import markers_of
+from redundant_planner.tools.live_run import play
+from redundant_planner.tools.replay_bag import again, differences
 
 pytestmark = LIVE
 FILES = [ROBOTS / 'panda.yaml', ROBOTS.parent / 'perception' / 'panda.yaml']
@@ -31,9 +38,9 @@ START = {'urdf': PANDA_URDF, 'initial_joints': [f'panda_joint{i}' for i in range
 BALL = Obstacle('ball', [0.45, 0.45, 0.5], [0.1, 0.1, 0.1])
 # Far behind all that, out of the arm's reach: what the camera sees when nothing is before it.
 BACKDROP = Obstacle.box('backdrop', [-1.8, 0.0, 0.0], [0.1, 9.0, 9.0])
-# Beside the elbow: the least-norm motion along y would run into it.
-CARTON = Obstacle.box('carton', [0.05, 0.33, 0.62], [0.2, 0.06, 0.2])
 BASE = 'panda_link0'
+# Of the test that plays a scenario: stations have lower ones.
+_DOMAIN = 95
 
 
 class Seer:
@@ -224,45 +231,29 @@ def test_what_a_camera_sees_of_an_obstacle_is_covered_and_gone_with_it():
         ros.wait_for(lambda: len(seer.cubes()) == 0, 'the way free')
 
 
-def test_a_panda_passes_what_only_a_camera_sees():
+def test_a_panda_passes_what_only_a_camera_sees_and_its_bag_replays_exactly(tmp_path):
     """Camera, cloud_obstacles and planner_node; the carton itself is judged, not its voxels."""
-    panda, twist, start = make_panda(), np.array([0.0, 0.06, 0.0, 0.0, 0.0, 0.0]), PANDA_READY
-    scene, radii = Scene.of([CARTON]), [capsule.radius for capsule in panda.capsules]
-
-    def clearance(q):
-        arm = panda.kinematics(q)
-        return link_clearance(inflated_obstacles(scene, radii), arm.segment_start,
-                              arm.segment_end).distance.min()
-
-    unaware, smallest = np.array(start), np.inf
-    for _ in range(400):
-        unaware = unaware + 0.01 * np.linalg.pinv(panda.kinematics(unaware).jacobian) @ twist
-        smallest = min(smallest, clearance(unaware))
-    assert smallest < -0.005
-    with station() as (ros, processes):
-        world = ros.node.create_publisher(MarkerArray, 'camera_obstacles', 10)
-        processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], START)
-        processes.start('depth_camera', FILES, {**VALUES, 'camera_noise': 0.002})
-        seer = Seer(ros, processes)
-        processes.start('planner_node', [ROBOTS / 'panda.yaml'],
-                        {**VALUES, 'incoming_command_timeout': 1.0})
-        ros.wait_for(lambda: seer.markers and ros.commands and world.get_subscription_count()
-                     and ros.twist.get_subscription_count(), 'start')
-        world.publish(markers_of([CARTON, BACKDROP], BASE))
-        ros.wait_for(lambda: len(seer.cubes()) > 20, 'the carton')
-        ros.wait_for(lambda: any(
-            value.key == 'obstacles' and int(value.value) > 20
-            for status in ros.statuses[-1:] for value in status.values), 'the planner knows')
-        ros.states.clear()
-        before = panda.kinematics(ros.state(panda.joint_names)).tip_position
-        ros.drive(twist, 5.0)
-        ros.wait_for(ros.at_rest, 'rest')
-        names = ros.states[-1].name
-        order = [names.index(name) for name in panda.joint_names]
-        postures = np.array([message.position for message in ros.states])[:, order]
-    assert min(clearance(q) for q in postures) > 0.0
-    moved = panda.kinematics(postures[-1]).tip_position - before
+    file = ROBOTS.parent / 'scenarios' / 'panda_camera.yaml'
+    scenario, panda = load_scenario(file), make_panda()
+    carton = [one for one in scenario.obstacles if one.name == 'carton']
+    unaware = [np.array(PANDA_READY)]
+    for i in range(500):
+        unaware.append(unaware[-1] + 0.01 * np.linalg.pinv(
+            panda.kinematics(unaware[-1]).jacobian) @ scenario.twist_at(0.01 * i))
+    assert smallest_clearance(panda, np.array(unaware), carton).level < -0.1
+    bag = play(scenario, file, tmp_path / 'bag', camera_files=FILES[1:], domain_id=_DOMAIN,
+               planner_values={'urdf': PANDA_URDF, 'publish_ticks': True}, kind=ForkedProcesses
+               ).bag
+    recording = read_recording(bag)
+    assert len(recording.obstacles) > 20  # the voxels alone are what the planner knew
+    postures = recording.states.select(panda.joint_names).positions
+    assert smallest_clearance(panda, postures, carton).level > 0.0
+    moved = np.diff([panda.kinematics(q).tip_position for q in postures[[0, -1]]], axis=0)[0]
     assert moved[1] > 0.5 * 0.06 * 5.0 and np.abs(moved[[0, 2]]).max() < 1e-3
+    with open_bag(bag) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    found = differences(inputs, again(inputs, settings_of(PlannerParameters, inputs.values)))
+    assert len(found) > 500 and found.max() < 1e-9
 
 
 def test_without_joint_states_nothing_is_seen_and_a_silent_camera_is_missed():
