@@ -1,21 +1,22 @@
-"""An independent judge: exact capsule–ellipsoid distances from coal, limits, tracking."""
+"""An independent judge: exact distances from coal, limits, tracking."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import coal
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from benchmark.bodies import capsules_of
+from benchmark.closest_approach import Motion
 from benchmark.generator import path_poses, Task
 from redundant_planner.analysis.metrics import distance_to_path
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
 
-# Every that many ticks distances are measured; in between nothing moves 2 mm.
+# Every that many ticks the tip's distance from its path is measured.
 _STRIDE = 2
 _TOLERANCE = 1e-6
 
@@ -57,19 +58,14 @@ class Judge:
     """
 
     def __init__(self, robot: Robot) -> None:
-        """Prepare the robot's capsules as coal shapes."""
+        """Prepare the robot's capsules as coal has them."""
         self.robot = robot
-        self._shapes = [coal.Capsule(max(c.radius, 1e-5), max(_length(c), 1e-6))
-                        for c in robot.capsules]
+        self._capsules = capsules_of(robot)
 
     def judge(self, task: Task, postures: Array, velocities: Array, dt: float) -> Verdict:
         """Return the verdict on postures (k + 1, n) and the velocities (k, n) between them."""
         robot = self.robot
-        closest, nearest = np.inf, ''
-        for i in range(0, len(postures), _STRIDE):
-            distance, names = self._distance(task, postures[i], i * dt)
-            if distance < closest:
-                closest, nearest = distance, f'{names} at {i * dt:.2f} s'
+        nearest = Motion.through(self._capsules, postures).to_obstacles(task.obstacles, dt)
         # The path as a line: where along it the tip is does not matter, only how far off.
         poses = path_poses(robot, task, dt)
         path = np.array([pose.position for pose in poses])
@@ -80,37 +76,30 @@ class Judge:
         if robot.m == 6:
             turn = max(_angle(arm.tip_rotation, poses[nearest_index(path, arm.tip_position)]
                               .rotation) for arm in arms[::_STRIDE])
-        change = np.diff(np.vstack((np.zeros(robot.n), velocities)), axis=0) / dt
-        excess = max(
-            float((postures - robot.position_max).max()),
-            float((robot.position_min - postures).max()),
-            float((np.abs(velocities) / robot.velocity_max).max() - 1.0),
-            float((np.abs(change) / robot.acceleration_max).max() - 1.0), 0.0)
         return Verdict(
-            closest, nearest, excess if excess > _TOLERANCE else 0.0, float(errors.max()),
-            turn, float(errors[-1]), bool(np.linalg.norm(tips[-1] - path[-1]) < 1e-3),
+            nearest.distance, f'{nearest} at {nearest.index * dt:.2f} s' if nearest.first else '',
+            limit_violation(robot, postures, velocities, dt), float(errors.max()), turn,
+            float(errors[-1]), bool(np.linalg.norm(tips[-1] - path[-1]) < 1e-3),
             float(np.square(velocities).sum() * dt),
             float(np.abs(np.diff(postures, axis=0)).sum()))
 
-    def _distance(self, task: Task, q: Array, time: float) -> tuple[float, str]:
-        arm = self.robot.kinematics(q)
-        request, best, names = coal.DistanceRequest(), np.inf, ''
-        for obstacle in task.obstacles_at(time):
-            ellipsoid = coal.Ellipsoid(*obstacle.half_extents.tolist())
-            at = coal.Transform3s(obstacle.rotation, obstacle.center)
-            reach = obstacle.half_extents.max()
-            for capsule, shape, a, b in zip(
-                    self.robot.capsules, self._shapes, arm.segment_start, arm.segment_end):
-                if np.linalg.norm(0.5 * (a + b) - obstacle.center) > (
-                        reach + capsule.radius + 0.5 * _length(capsule) + 0.2):
-                    continue
-                result = coal.DistanceResult()
-                distance = coal.distance(
-                    shape, coal.Transform3s(rotation_to(b - a), 0.5 * (a + b)), ellipsoid, at,
-                    request, result)
-                if distance < best:
-                    best, names = float(distance), f'{capsule.name} to {obstacle.name}'
-        return best, names
+
+def limit_violation(robot: Robot, postures: Array, velocities: Array, dt: float) -> float:
+    """Return the largest excess over a limit, as a share of it; of positions in rad or m.
+
+    Args:
+        robot: the arm, at rest before the first tick.
+        postures: (k + 1, n).
+        velocities: (k, n) between them.
+        dt: [s].
+    """
+    change = np.diff(np.vstack((np.zeros(robot.n), velocities)), axis=0) / dt
+    excess = max(
+        float((postures - robot.position_max).max()),
+        float((robot.position_min - postures).max()),
+        float((np.abs(velocities) / robot.velocity_max).max() - 1.0),
+        float((np.abs(change) / robot.acceleration_max).max() - 1.0))
+    return excess if excess > _TOLERANCE else 0.0
 
 
 def nearest_index(path: Array, point: Array) -> int:
@@ -120,15 +109,3 @@ def nearest_index(path: Array, point: Array) -> int:
 
 def _angle(first: Array, second: Array) -> float:
     return float(np.linalg.norm(pin.log3(first.T @ second)))
-
-
-def _length(capsule: object) -> float:
-    return float(np.linalg.norm(capsule.end - capsule.start))  # type: ignore[attr-defined]
-
-
-def rotation_to(direction: Array) -> Array:
-    """Return a rotation that takes z to `direction`."""
-    size = float(np.linalg.norm(direction))
-    if size < 1e-9:
-        return np.eye(3)
-    return pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction / size).matrix()

@@ -19,11 +19,12 @@ import numpy as np
 import numpy.typing as npt
 import pink
 from pink.barriers import SelfCollisionBarrier
+from pink.exceptions import NoSolutionFound
 from pink.limits import ConfigurationLimit, VelocityLimit
 import pinocchio as pin
 
-from benchmark.judge import rotation_to
-from redundant_planner.core.obstacles.obstacle import Obstacle
+from benchmark.bodies import rotation_to, shape_of
+from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, ELLIPSOID, Obstacle
 from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -36,6 +37,9 @@ _DAMPING = 1e-8
 _DETECTION = 0.1
 _PINK_GAIN = 5.0
 _SOLVER = 'daqp'
+# A shape in MuJoCo's words; a capsule whose segment is shorter is a sphere [m].
+_GEOMS = {ELLIPSOID: 'ellipsoid', BOX: 'box', CYLINDER: 'cylinder', CAPSULE: 'capsule'}
+_LEAST_LENGTH = 1e-6
 
 
 class Peer(Protocol):
@@ -96,7 +100,9 @@ class Mink:
     def move(self, obstacles: Sequence[Obstacle]) -> None:
         """See `Peer`."""
         for i, obstacle in enumerate(obstacles):
+            x, y, z, w = obstacle.orientation
             self._configuration.data.mocap_pos[i] = obstacle.center
+            self._configuration.data.mocap_quat[i] = w, x, y, z
 
 
 class Pink:
@@ -121,7 +127,7 @@ class Pink:
         for i, obstacle in enumerate(obstacles):
             body = geometry.addGeometryObject(pin.GeometryObject(
                 f'obstacle{i}', 0, pin.SE3(obstacle.rotation, obstacle.center),
-                coal.Ellipsoid(*obstacle.half_extents.tolist())))
+                shape_of(obstacle)))
             self._obstacle_ids.append(body)
             for link in links:
                 geometry.addCollisionPair(pin.CollisionPair(link, body))
@@ -143,7 +149,7 @@ class Pink:
             return np.array(pink.solve_ik(
                 self._configuration, [self._task], dt, _SOLVER, damping=_DAMPING,
                 limits=self._limits, barriers=self._barriers, safety_break=False))
-        except pink.NoSolutionFound:
+        except NoSolutionFound:
             return np.zeros(len(q))
 
     def move(self, obstacles: Sequence[Obstacle]) -> None:
@@ -195,10 +201,19 @@ def mjcf(robot: Robot, obstacles: Sequence[Obstacle]) -> str:
     body += f'<site name="tip" {_placed(tip)}/>' + '</body>' * robot.n
     for i, obstacle in enumerate(obstacles):
         at = pin.SE3(obstacle.rotation, obstacle.center)
-        body += (f'<body mocap="true" {_placed(at)}><geom name="obstacle{i}" type="ellipsoid" '
-                 f'size="{_text(obstacle.half_extents)}"/></body>')
+        body += f'<body mocap="true" {_placed(at)}>{_geom(f"obstacle{i}", obstacle)}</body>'
     return ('<mujoco><compiler angle="radian"/>'
             f'<worldbody>{body}</worldbody></mujoco>')
+
+
+def _geom(name: str, obstacle: Obstacle) -> str:
+    """Return an obstacle as MuJoCo's geom of the same shape; its sizes are halves, too."""
+    kind = _GEOMS[obstacle.shape]
+    x, y, z = obstacle.half_extents.tolist()
+    if obstacle.shape == CAPSULE and z - x < _LEAST_LENGTH:
+        kind = 'sphere'
+    sizes = {'sphere': (x,), 'cylinder': (x, z), 'capsule': (x, z - x)}.get(kind, (x, y, z))
+    return f'<geom name="{name}" type="{kind}" size="{_text(np.array(sizes))}"/>'
 
 
 def _in_joint(robot: Robot, capsule: Capsule) -> tuple[int, Array, Array]:

@@ -1,0 +1,1 @@
+"""Problems with a start, a goal and obstacles in between: read from files, or made from a seed."""

@@ -1,0 +1,130 @@
+"""One problem with all methods, in a process that has prepared the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmark.problem_sets.generated import generate
+from benchmark.problem_sets.judgement import collided, Judge, Outcome
+from benchmark.problem_sets.moveit_files import ProblemFileError, read_problem
+from benchmark.problem_sets.problem import fault_of, Problem, settled
+from benchmark.problem_sets.servo import LONGEST, peer_step, planner_step, servo, Step
+from benchmark.scenarios import make_robot, METHODS as SCENARIO_METHODS, PEERS, UNFILTERED
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.tools.reproduce_paper import panda_urdf
+
+# What is commanded depends on where the arm is, so nothing is known ahead.
+METHODS = {'variational': SCENARIO_METHODS['variational_held'], **{
+    name: parameters for name, parameters in SCENARIO_METHODS.items()
+    if not name.startswith('variational')}}
+__all__ = ['METHODS', 'PEERS', 'Job', 'Result', 'Task', 'Worker', 'prepare', 'run_job']
+
+# Family, scene and request; or seed, family and number.
+Job = tuple[str, Path, Path] | tuple[int, str, int]
+
+
+class Task(NamedTuple):
+    """What to do with every problem.
+
+    Attributes:
+        methods: names.
+        margin: that everybody keeps from obstacles [m].
+        explain: whether to look into what was not reached.
+        longest: run [s].
+    """
+
+    methods: tuple[str, ...]
+    margin: float
+    explain: bool = False
+    longest: float = LONGEST
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a problem.
+
+    Attributes:
+        fault: why it was left out; empty if it was not.
+        outcomes: method → what it came to.
+        free_way: whether a way that gives up the line reaches the goal; None if nobody looked.
+        line_blocked: whether the line takes the hand into an obstacle; likewise.
+    """
+
+    fault: str = ''
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    free_way: bool | None = None
+    line_blocked: bool | None = None
+
+
+class Worker:
+    """The Panda and its judge."""
+
+    def __init__(self, task: Task) -> None:
+        """Prepare."""
+        urdf = panda_urdf()
+        if urdf is None:
+            raise SystemExit('no Panda URDF: pip install example-robot-data')
+        self.task, self.robot = task, make_robot('panda', 6)
+        self.judge = Judge(self.robot, urdf)
+
+    def problem(self, job: Job) -> Problem:
+        """Read a problem, or make it.
+
+        Raises:
+            ProblemFileError: as `read_problem`.
+        """
+        first, second, third = job
+        if isinstance(first, int):
+            assert isinstance(second, str) and isinstance(third, int)
+            return generate(self.robot, first, second, third)
+        assert isinstance(second, Path) and isinstance(third, Path)
+        return settled(self.robot, self.judge.capsules,
+                       read_problem(first, second, third, self.robot.joint_names))
+
+    def __call__(self, job: Job) -> Result:
+        """Run every method on a problem."""
+        problem, task = self.problem(job), self.task
+        fault = fault_of(self.robot, self.judge.capsules, problem, task.margin)
+        if fault:
+            return Result(fault)
+        result = Result('', {
+            name: self.judge.judge(problem, servo(
+                self.robot, problem, _step(self.robot, name, problem, task.margin), task.longest))
+            for name in task.methods})
+        if not task.explain or all(o.reached for o in result.outcomes.values()):
+            return result
+        from benchmark.problem_sets.explanation import free_way_exists, line_blocked
+        around = self.robot, self.judge.capsules, problem, task.margin
+        # A run that reached the goal unharmed shows that there is a way.
+        known = any(o.reached and not collided(o) for o in result.outcomes.values())
+        return replace(result, free_way=known or free_way_exists(*around),
+                       line_blocked=line_blocked(*around))
+
+
+def _step(robot: Robot, name: str, problem: Problem, margin: float) -> Step:
+    """Return the step of a method by name."""
+    if name in METHODS:
+        parameters: PlannerParameters = replace(METHODS[name], clearance_margin=margin)
+        return planner_step(robot, parameters, problem, filtered=name not in UNFILTERED)
+    try:
+        return peer_step(robot, PEERS[name], problem, margin)
+    except ImportError as error:
+        raise ProblemFileError(f'{name}: {error}; pip install mink pin-pink') from None
+
+
+worker: Callable[[Job], Result]
+
+
+def prepare(task: Task) -> None:
+    """Make the `worker` of a process."""
+    global worker
+    worker = Worker(task)
+
+
+def run_job(job: Job) -> Result:
+    """Run every method on a problem."""
+    return worker(job)
