@@ -33,6 +33,7 @@ from rich.table import Table
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
+from benchmark.voxels import voxel_messages
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
@@ -143,8 +144,9 @@ class Operator:
 
 def measure(
     *, robot: str, urdf: str, rate: int, obstacles: int, seconds: float, method: str, busy: bool,
+    voxels: bool = False,
 ) -> dict[str, float]:
-    """Run the loop once; keys as in the JSON."""
+    """Run the loop once, the obstacles balls or voxels; keys as in the JSON."""
     file, start = share_directory() / 'config' / 'robots' / f'{robot}.yaml', _STARTS[robot]
     changes = {'urdf': urdf} if urdf else {}
     arm = load_robot(file, **changes)
@@ -153,7 +155,8 @@ def measure(
     # Another domain for every run: nodes of the last one may still be known on its own.
     context, domain = Context(), 60 + next(_runs) % 40
     rclpy.init(context=context, domain_id=domain)
-    frames = obstacle_messages(arm, start, obstacles) if obstacles else []
+    camera = voxel_messages if voxels else obstacle_messages
+    frames = camera(arm, start, obstacles) if obstacles else []
     operator = Operator(context, frames, np.array([0.0, 0.05, 0.03, 0.0, 0.0, 0.0]))
     neighbour = subprocess.Popen([sys.executable, '-c', 'while True: pass']) if busy else None
     try:
@@ -163,7 +166,7 @@ def measure(
                 'initial_positions': start.tolist(), 'rate': rate})
             planner = processes.start('planner_node', [file], {
                 **changes, 'rate': rate, 'method': method,
-                'estimate_obstacle_velocity': True})
+                'estimate_obstacle_velocity': not voxels})
             operator.wait()
             operator.drive(3.0)
             operator.stamps.clear()
@@ -211,6 +214,8 @@ def main(args: list[str] | None = None) -> int:
                         help="URDF instead of the robot file's, or of the Panda found here")
     parser.add_argument('--rate', type=int, nargs='+', default=[250, 500, 1000], metavar='HZ')
     parser.add_argument('--obstacles', type=int, nargs='+', default=[10], metavar='COUNT')
+    parser.add_argument('--voxels', action='store_true',
+                        help='the obstacles are voxels at rest, in one CUBE_LIST')
     parser.add_argument('--method', default='dynamic_factor')
     parser.add_argument('--seconds', type=float, default=60.0)
     parser.add_argument('--busy', action='store_true',
@@ -223,7 +228,8 @@ def main(args: list[str] | None = None) -> int:
     runs = [(rate, count, busy) for rate in options.rate for count in options.obstacles
             for busy in ((False, True) if options.busy else (False,))]
     rows = [measure(robot=options.robot, urdf=urdf, rate=rate, obstacles=count,
-                    seconds=options.seconds, method=options.method, busy=busy)
+                    seconds=options.seconds, method=options.method, busy=busy,
+                    voxels=options.voxels)
             for rate, count, busy in track(runs, description='loops')]
     table = Table(title=f'{options.robot}, {options.method}, {options.seconds:g} s each')
     for name in rows[0]:

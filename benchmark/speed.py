@@ -2,8 +2,8 @@
 
     python -m benchmark.speed --json speed.json
 
-The arm moves its tip to and fro, at up to 7 cm/s and 0.1 rad/s, among small ellipsoids, all of
-them within reach (up to 1.2 m from the base) or spread over a hall (20 m × 20 m × 4 m). Every
+The arm moves its tip to and fro, at up to 7 cm/s and 0.1 rad/s, among small ellipsoids, or boxes
+and others with `--shapes`, all of them within reach (up to 1.2 m from the base) or spread over a hall (20 m × 20 m × 4 m). Every
 figure is a median over ticks of one process; compare ratios, the machine's own speed changes from
 minute to minute. `tick_own_p99_us` is the 99th percentile of ticks that are repeated five times,
 of each the fastest: what ticks differ by themselves, without what the machine puts in between.
@@ -26,11 +26,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmark.crowds import SHAPE_NAMES, shapes_of, small_obstacles
 from benchmark.scenarios import make_robot
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs
-from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.obstacle import ELLIPSOID, Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -60,15 +61,21 @@ _EXTENTS = {'reach': ((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2)),
             'hall': ((-10.0, -10.0, 0.0), (10.0, 10.0, 4.0))}
 
 
-def obstacles_around(robot: Robot, start: Array, count: int, where: str) -> list[Obstacle]:
-    """Return ellipsoids of 2 to 5 cm that keep 5 cm off the arm's start posture."""
+def obstacles_around(
+    robot: Robot, start: Array, count: int, where: str, shapes: tuple[str, ...] = (ELLIPSOID,),
+) -> list[Obstacle]:
+    """Return obstacles of 2 to 5 cm that keep 5 cm off the arm's start posture.
+
+    Their half extents lie in that range, of shapes in turn; only ellipsoids keep to base axes.
+    """
     random = np.random.default_rng(0)
     arm = robot.kinematics(start)
     radii = [capsule.radius + 0.05 for capsule in robot.capsules]
     found: list[Obstacle] = []
     while len(found) < count:
-        batch = [Obstacle(f'o{len(found) + i}', random.uniform(*_EXTENTS[where]),
-                          random.uniform(0.02, 0.05, 3)) for i in range(count)]
+        drawn = np.array([(random.uniform(*_EXTENTS[where]), random.uniform(0.02, 0.05, 3))
+                          for _ in range(count)])
+        batch = small_obstacles(shapes, drawn[:, 0], drawn[:, 1], random, len(found))
         clear = link_clearance(inflated_obstacles(Scene.of(batch), radii), arm.segment_start,
                                arm.segment_end).normalized_distance.min(axis=0) > 0.0
         found += [obstacle for obstacle, free in zip(batch, clear) if free]
@@ -170,7 +177,9 @@ def _median(part: Any, ticks: int) -> float:
     return 1e6 * float(np.median(times))
 
 
-def measure(name: str, counts: list[int], ticks: int, peers: bool) -> dict[str, Any]:
+def measure(
+    name: str, counts: list[int], ticks: int, peers: bool, shapes: tuple[str, ...] = (ELLIPSOID,),
+) -> dict[str, Any]:
     """Measure everything for one arm; keys as in the JSON, then the number of obstacles."""
     robot, start = make_robot(name, 6 if name == 'panda' else 3), STARTS[name]
     result: dict[str, Any] = {
@@ -179,14 +188,14 @@ def measure(name: str, counts: list[int], ticks: int, peers: bool) -> dict[str, 
             'mink_us', 'pink_us', 'ratio_to_mink', 'ratio_to_pink')}
     for count in track(counts, description=name):
         key = str(count)
-        around = obstacles_around(robot, start, count, 'reach')
+        around = obstacles_around(robot, start, count, 'reach', shapes)
         times = planner_times(robot, start, around, 'dynamic_factor', ticks, _PASSES)
         result['tick_us'][key] = float(np.median(times))
         result['tick_p99_us'][key] = float(np.percentile(times, 99))
         result['tick_own_p99_us'][key] = float(np.percentile(times.min(axis=0), 99))
         result['hall_tick_us'][key] = float(np.median(planner_times(
-            robot, start, obstacles_around(robot, start, count, 'hall'), 'dynamic_factor',
-            ticks)))
+            robot, start, obstacles_around(robot, start, count, 'hall', shapes),
+            'dynamic_factor', ticks)))
         if count <= _MOST_OF_MINK:
             result['variational_us'][key] = float(np.median(planner_times(
                 robot, start, around, 'variational', ticks // 4)))
@@ -198,7 +207,7 @@ def measure(name: str, counts: list[int], ticks: int, peers: bool) -> dict[str, 
             result[f'{label}_us'][key] = taken
             result[f'ratio_to_{label}'][key] = result['tick_us'][key] / taken
     result['sections_us'] = sections(
-        robot, start, obstacles_around(robot, start, 3, 'reach'), ticks)
+        robot, start, obstacles_around(robot, start, 3, 'reach', shapes), ticks)
     return result
 
 
@@ -219,17 +228,26 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--robot', choices=tuple(STARTS), default='panda')
     parser.add_argument('--counts', type=int, nargs='+', default=list(COUNTS), metavar='COUNT')
     parser.add_argument('--ticks', type=int, default=2000)
+    parser.add_argument('--shapes', choices=SHAPE_NAMES, default=ELLIPSOID,
+                        help='of the obstacles; mixed for all in turn')
+    parser.add_argument('--voxels', type=int, default=0, metavar='N',
+                        help='also ticks while N voxels come in a CUBE_LIST at 30 Hz')
     parser.add_argument('--without-peers', action='store_true')
     parser.add_argument('--hour', action='store_true',
                         help="also what an hour's worth of ticks adds to the memory")
     parser.add_argument('--json', type=Path)
     options = parser.parse_args(args)
-    result = measure(options.robot, options.counts, options.ticks, not options.without_peers)
-    growth = {}
+    result = measure(options.robot, options.counts, options.ticks, not options.without_peers,
+                     shapes_of(options.shapes))
+    robot = make_robot(options.robot, 6 if options.robot == 'panda' else 3)
+    further: dict[str, float] = {}
+    if options.voxels:
+        from benchmark.voxels import voxel_ticks
+        further = voxel_ticks(robot, STARTS[options.robot], options.voxels, _twist_at,
+                             options.ticks)
     if options.hour:
-        robot = make_robot(options.robot, 6 if options.robot == 'panda' else 3)
-        growth['hour_growth_mib'] = hour_growth(robot, STARTS[options.robot])
-    table = Table(title=f'{options.robot}: time per tick [us]')
+        further['hour_growth_mib'] = hour_growth(robot, STARTS[options.robot])
+    table = Table(title=f'{options.robot}, {options.shapes}: time per tick [us]')
     table.add_column('obstacles')
     keys = [key for key in result if key != 'sections_us' and result[key]]
     for key in keys:
@@ -241,11 +259,12 @@ def main(args: list[str] | None = None) -> int:
     console = Console(width=140)
     console.print(table)
     console.print(f'parts of a tick [us]: {result["sections_us"]}')
-    if growth:
-        console.print(f"an hour's worth of ticks adds {growth['hour_growth_mib']:.2f} MiB")
+    for key, value in further.items():
+        console.print(f'{key.replace("_", " ")}: {value:.4g}')
     if options.json is not None:
         options.json.write_text(json.dumps(
-            {'robot': options.robot, 'versions': versions(), **result, **growth}, indent=1))
+            {'robot': options.robot, 'shapes': options.shapes, 'versions': versions(),
+             **result, **further}, indent=1))
     return 0
 
 

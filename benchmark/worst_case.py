@@ -1,11 +1,12 @@
 """The longest tick among hostile obstacles: `python -m benchmark.worst_case --help`.
 
-Crowds of obstacles appear around a moving arm, vanish, grow, wander, close in and surround it,
-while its command leaps about. Every tick is timed by the processor time of this process, with
-what a new scene costs (`Planner.prepare`) included. Ticks are shared evenly between the arms, the
-methods and the numbers of obstacles. The longest are played again, and the fastest time of each
-counts: what the machine itself put in between does not (`longest_at_first_us` has it). Compare
-with the reference, the median tick of `dynamic_factor` without obstacles in the same run.
+Crowds of obstacles of all shapes appear around a moving arm, vanish, grow, wander, turn, close in
+and surround it, while its command leaps about. Every tick is timed by the processor time of this
+process, with what a new scene costs (`Planner.prepare`) included. Ticks are shared evenly between
+the arms, the methods and the numbers of obstacles. The longest are played again, and the fastest
+time of each counts: what the machine itself put in between does not (`longest_at_first_us` has
+it). Compare with the reference, the median tick of `dynamic_factor` without obstacles in the same
+run.
 
     python -m benchmark.worst_case --ticks 1000000 --json worst_case.json
 """
@@ -27,6 +28,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from benchmark.crowds import Crowd, KINDS, SHAPE_NAMES, shapes_of
 from benchmark.scenarios import make_robot
 from benchmark.speed import planner_times, STARTS
 from redundant_planner.core.horizon.preview import Preview
@@ -56,6 +58,7 @@ class Act(NamedTuple):
         arm, method: whose ticks.
         count: of obstacles.
         seed, number: of the random numbers, and which kind of crowd.
+        shapes: of the obstacles.
     """
 
     arm: str
@@ -63,6 +66,7 @@ class Act(NamedTuple):
     count: int
     seed: int
     number: int
+    shapes: tuple[str, ...]
 
     @property
     def kind(self) -> str:
@@ -100,69 +104,6 @@ class Found:
     slowest: list[Tick] = field(default_factory=list)
 
 
-KINDS = ('around', 'appearing', 'growing', 'closing in', 'wandering', 'crossing', 'cage',
-         'slivers')
-
-
-class Crowd:
-    """Obstacles that are as inconvenient as their kind has it."""
-
-    def __init__(self, kind: str, count: int, random: np.random.Generator) -> None:
-        """Prepare `count` obstacles of one of `KINDS`."""
-        self._kind, self._random = kind, random
-        self._names = tuple(f'o{i}' for i in range(count))
-        self._away = random.normal(size=(count, 3))
-        self._away /= np.linalg.norm(self._away, axis=1)[:, None] + 1e-9
-        self._at = random.uniform(-1.0, 1.0, count)  # along the arm
-        self._distance = random.uniform(0.12, 0.5, count)
-        if kind in ('crossing', 'closing in'):
-            self._distance += 0.5
-        sizes = random.uniform(0.01, 0.05, (count, 3))
-        if kind == 'slivers':
-            sizes[:, 0] *= 20.0
-        elif kind != 'growing':
-            sizes[:] = sizes[:, :1] * random.uniform(0.7, 1.3, (count, 3))
-        self._sizes = sizes
-        self._turns = _rotations(random, count)
-        speed = {'crossing': 0.4, 'closing in': 0.25, 'wandering': 0.1}.get(kind, 0.0)
-        self._velocity = -speed * self._away
-        if kind == 'wandering':
-            self._velocity = speed * random.normal(size=(count, 3))
-        self._centers: Array | None = None
-
-    def scene(self, robot: Robot, q: Array, elapsed: float) -> Scene:
-        """Return the obstacles at a posture and a time since the last scene [s]."""
-        random, count = self._random, len(self._names)
-        if not count:
-            return Scene.of()
-        around = self._centers is None or self._kind in ('appearing', 'around', 'cage')
-        if around and (self._centers is None or random.random() < 0.3):
-            arm = robot.kinematics(q)
-            link = random.integers(len(arm.segment_start), size=count)
-            share = random.uniform(0.0, 1.0, (count, 1))
-            points = arm.segment_start[link] + share * (
-                arm.segment_end[link] - arm.segment_start[link])
-            distance = self._distance[:, None]
-            if self._kind == 'cage':
-                distance = 0.18 + 0.02 * random.random((count, 1))
-            self._centers = points + distance * self._away
-        assert self._centers is not None
-        self._centers = self._centers + elapsed * self._velocity
-        if self._kind == 'growing':
-            self._sizes = np.minimum(self._sizes * 1.02, 0.3)
-        chosen = np.arange(count)
-        if self._kind == 'appearing':
-            chosen = np.flatnonzero(random.random(count) < random.choice([0.0, 0.1, 0.5, 1.0]))
-        return Scene(tuple([self._names[i] for i in chosen.tolist()]), self._centers[chosen],
-                     self._turns[chosen], self._sizes[chosen], self._velocity[chosen])
-
-
-def _rotations(random: np.random.Generator, count: int) -> Array:
-    """Return random rotation matrices (count, 3, 3)."""
-    turned, upper = np.linalg.qr(random.normal(size=(count, 3, 3)))
-    return np.asarray(turned * np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :])
-
-
 def start_posture(robot: Robot, random: np.random.Generator) -> Array:
     """Return a posture (n,) well inside the limits."""
     low = np.where(np.isfinite(robot.position_min), robot.position_min, -np.pi)
@@ -173,7 +114,7 @@ def start_posture(robot: Robot, random: np.random.Generator) -> Array:
 def play(robot: Robot, act: Act) -> tuple[Array, int, Tick]:
     """Play an act; return the times of its ticks [us], how many fell back, and the longest."""
     random = np.random.default_rng((act.seed, act.number, act.count))
-    crowd = Crowd(act.kind, act.count, random)
+    crowd = Crowd(act.kind, act.count, act.shapes, random)
     planner = Planner(robot, PlannerParameters(method=act.method))
     q = start_posture(robot, random)
     scene, twist, ahead = Scene.of(), np.zeros(6), None
@@ -230,8 +171,10 @@ def reference(robot: Robot) -> float:
     return float(np.median(times))
 
 
-def measure(counts: list[int], ticks: int, methods: list[str], seed: int) -> dict[str, Any]:
-    """Measure ticks, shared evenly; keys as in the JSON."""
+def measure(
+    counts: list[int], ticks: int, methods: list[str], seed: int, shapes: tuple[str, ...],
+) -> dict[str, Any]:
+    """Measure ticks among obstacles of some shapes, shared evenly; keys as in the JSON."""
     robots = {name: make_robot(name, axes) for name, axes in _ARMS.items()}
     found = {count: Found() for count in counts}
     cases = list(itertools.product(counts, robots, methods))
@@ -244,13 +187,13 @@ def measure(counts: list[int], ticks: int, methods: list[str], seed: int) -> dic
         for number in range(acts):
             for count, arm, method in cases:
                 times, fallbacks, longest = play(
-                    robots[arm], Act(arm, method, count, seed, number))
+                    robots[arm], Act(arm, method, count, seed, number, shapes))
                 found[count].times.extend(times.tolist())
                 found[count].fallbacks += fallbacks
                 found[count].slowest.append(longest)
                 bar.advance(task)
             references.append(reference(robots['panda']))
-    return {'reference_us': float(np.median(references)), 'seed': seed,
+    return {'reference_us': float(np.median(references)), 'seed': seed, 'shapes': shapes,
             'obstacles': {str(count): _entry(one, robots) for count, one in found.items()}}
 
 
@@ -273,11 +216,14 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--ticks', type=int, default=100_000)
     parser.add_argument('--counts', type=int, nargs='+', default=list(COUNTS), metavar='COUNT')
     parser.add_argument('--method', action='append', choices=METHODS)
+    parser.add_argument('--shapes', choices=SHAPE_NAMES, default='mixed',
+                        help='of the obstacles; all of them if not given')
     parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('--json', type=Path, metavar='FILE')
     options = parser.parse_args(args)
     result = measure(
-        options.counts, options.ticks, options.method or list(METHODS), options.seed)
+        options.counts, options.ticks, options.method or list(METHODS), options.seed,
+        shapes_of(options.shapes))
     unit = result['reference_us']
     table = Table(title=f'processor time per tick; reference {unit:.1f} us')
     for column in ('obstacles', 'ticks', 'median', '99.99 %', 'longest', 'times the reference',
