@@ -141,4 +141,6 @@ class Crowd:
 def _rotations(random: np.random.Generator, count: int) -> Array:
     """Return random rotation matrices (count, 3, 3)."""
     turned, upper = np.linalg.qr(random.normal(size=(count, 3, 3)))
-    return np.asarray(turned * np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :])
+    turned *= np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :]
+    turned[:, :, 0] *= np.linalg.det(turned)[:, None]  # no reflections
+    return np.asarray(turned)

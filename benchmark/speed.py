@@ -3,10 +3,11 @@
     python -m benchmark.speed --json speed.json
 
 The arm moves its tip to and fro, at up to 7 cm/s and 0.1 rad/s, among small ellipsoids, or boxes
-and others with `--shapes`, all of them within reach (up to 1.2 m from the base) or spread over a hall (20 m × 20 m × 4 m). Every
-figure is a median over ticks of one process; compare ratios, the machine's own speed changes from
-minute to minute. `tick_own_p99_us` is the 99th percentile of ticks that are repeated five times,
-of each the fastest: what ticks differ by themselves, without what the machine puts in between.
+and others with `--shapes`. All of them lie within reach (up to 1.2 m from the base) or spread over
+a hall (20 m × 20 m × 4 m). Every figure is a median over ticks of one process; compare ratios, the
+machine's own speed changes from minute to minute. `tick_own_p99_us` is the 99th percentile of
+ticks that are repeated five times, of each the fastest: what ticks differ by themselves, without
+what the machine puts in between.
 """
 
 from __future__ import annotations

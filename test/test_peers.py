@@ -80,3 +80,27 @@ def test_they_keep_the_same_pairs_of_links_apart(library):
             closest = min(closest, link_distances(
                 now.segment_start, now.segment_end, radii, pairs).distance.min())
         assert closest > 0.0 if len(minded) else closest < -0.05
+
+
+@pytest.mark.parametrize('library', [Mink, Pink])
+def test_they_stop_at_every_shape(library):
+    robot = MAKERS['panda_position']()
+    q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
+    arm = robot.kinematics(q)
+    place, turn = arm.tip_position + [0.3, 0.0, -0.1], (0.0, 0.3826834, 0.0, 0.9238795)
+    for obstacle in (
+            Obstacle.box('box', place, (0.1, 0.2, 0.1), orientation=turn),
+            Obstacle.cylinder('cylinder', place, 0.05, 0.2, orientation=turn),
+            Obstacle.capsule('capsule', place, 0.05, 0.1, orientation=turn),
+            Obstacle.capsule('ball', place, 0.05, 0.0)):
+        peer = library(robot, (obstacle,), 0.01, 0.005)
+        pose, posture, distances = Pose(arm.tip_position, arm.tip_rotation), q, []
+        maps = inflated_obstacles(Scene.of([obstacle]), [c.radius for c in robot.capsules])
+        for _ in range(500):
+            pose = integrate(pose, np.array([0.1, 0, 0, 0, 0, 0]), 0.004, False)
+            posture = posture + 0.004 * peer.step(posture, pose, 0.004)
+            now = robot.kinematics(posture)
+            distances.append(
+                link_clearance(maps, now.segment_start, now.segment_end).distance.min())
+        # It came near, and kept off: the library knows where the surface is.
+        assert 0.0 < min(distances) < 0.03
