@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 import importlib.util
 import json
 from multiprocessing import Pool
@@ -84,9 +85,13 @@ def run(
     jobs: Sequence[Job], task: Task, processes: int,
 ) -> dict[str, Any]:
     """Run all methods on all problems; return the JSON."""
-    with Pool(processes, prepare, (task,)) as pool:
-        results: list[Result] = list(track(
-            pool.imap(run_job, jobs), 'problems', total=len(jobs), console=Console(stderr=True)))
+    results: list[Result] = []
+    bar = partial(track, description='problems', total=len(jobs), console=Console(stderr=True))
+    if processes == 1:
+        results += bar(map(Worker(task), jobs))
+    else:
+        with Pool(processes, prepare, (task,)) as pool:
+            results += bar(pool.imap(run_job, jobs))
     left_out = Counter(result.fault for result in results if result.fault)
     kept = [result for result in results if not result.fault]
     if not kept:
