@@ -11,7 +11,14 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, ELLIPSOID, Obstacle
+from redundant_planner.core.obstacles.obstacle import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    HALF_SPACE,
+    Obstacle,
+)
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.pinocchio_model import link_id
 
@@ -123,8 +130,10 @@ def shape_of(obstacle: Obstacle) -> coal.ShapeBase:
         return coal.Cylinder(x, 2.0 * z)
     if obstacle.shape == CAPSULE:
         return coal.Capsule(x, max(2.0 * (z - x), _LEAST_SIZE))
-    raise ValueError(f"obstacle '{obstacle.name}' is a {obstacle.shape}, which the judge does "
-                     f'not know; it knows {ELLIPSOID}, {BOX}, {CYLINDER} and {CAPSULE}')
+    if obstacle.shape == HALF_SPACE:
+        return coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+    raise ValueError(f"obstacle '{obstacle.name}' is a {obstacle.shape}, which coal is not "
+                     'told how to make')
 
 
 def rotation_to(direction: Array) -> Array:

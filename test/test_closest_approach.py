@@ -24,6 +24,7 @@ OBSTACLES = {
     'cylinder': Obstacle.cylinder('o', _PLACE, 0.08, 0.3, orientation=_TURN),
     'capsule': Obstacle.capsule('o', _PLACE, 0.06, 0.3, orientation=_TURN),
     'ball': Obstacle('o', _PLACE, np.full(3, 0.1), _TURN),
+    'half_space': Obstacle.half_space('o', (0.3, 0.3, 0.0), orientation=(0.1, 0.0, 0.0, 0.995)),
 }
 
 
@@ -32,6 +33,8 @@ def outside(name, points):
     obstacle = OBSTACLES[name]
     local = (points - obstacle.center) @ obstacle.rotation
     half = obstacle.half_extents
+    if name == 'half_space':
+        return local[:, 2]
     if name == 'ball':
         return np.linalg.norm(local, axis=1) - half[0]
     if name == 'capsule':

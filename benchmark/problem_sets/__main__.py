@@ -26,7 +26,16 @@ from rich.progress import track
 from benchmark.problem_sets.families import FAMILIES
 from benchmark.problem_sets.judgement import Outcome, summarise
 from benchmark.problem_sets.moveit_files import find_files, ProblemFileError
-from benchmark.problem_sets.workers import Job, METHODS, PEERS, prepare, Result, run_job, Task
+from benchmark.problem_sets.workers import (
+    Job,
+    METHODS,
+    PEERS,
+    prepare,
+    Result,
+    run_job,
+    Task,
+    Worker,
+)
 from benchmark.scenarios import print_table
 
 DEFAULT_METHODS = ('dynamic_factor', 'variational')
