@@ -14,9 +14,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.obstacles.inflation import inflated_obstacles
+from benchmark.symbolic_clearance import clearance
 from redundant_planner.core.obstacles.obstacle import Obstacle
-from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
@@ -35,7 +34,7 @@ class Optimum:
     """Solves one task from several starts."""
 
     def __init__(
-        self, robot: Robot, start: Array, poses: Sequence[Pose], step: float,
+        self, robot: Robot, start: Array, poses: Sequence[Pose | None], step: float,
         obstacles: Sequence[Obstacle], margin: float,
     ) -> None:
         """Write the problem down; solving is `best`.
@@ -43,7 +42,8 @@ class Optimum:
         Args:
             robot: the arm.
             start: (n,) posture.
-            poses: where the tip has to be, from the start on.
+            poses: where the tip has to be, from the start on; None where it may be anywhere.
+                Not at the end: a goal has its pose there.
             step: between them [s].
             obstacles: that stand still.
             margin: kept between links and obstacles [m].
@@ -52,7 +52,7 @@ class Optimum:
         at = np.linspace(0, len(poses) - 1, INTERVALS + 1).round().astype(int)
         self._times = at * step
         self._poses = [poses[i] for i in at]
-        self._scene = Scene.of(obstacles)
+        self._obstacles = obstacles
         p = PlannerParameters()
         self._low = robot.position_min + p.limits_position_margin
         self._high = robot.position_max - p.limits_position_margin
@@ -62,11 +62,13 @@ class Optimum:
         """Return the least ∫ q̇ᵀq̇ dt found and its postures (K + 1, n); None if none was.
 
         Args:
-            paths: starts besides the bent least-norm ones: postures (k, n) over the motion.
+            paths: starts: postures (k, n) over the motion. If the tip has a path, bent
+                least-norm ones come besides these.
         """
         found: tuple[float, Array] | None = None
-        starts = [*(self._resampled(path) for path in paths),
-                  *(self._bent(speed) for speed in _SPEEDS)]
+        starts = [self._resampled(path) for path in paths]
+        if all(pose is not None for pose in self._poses):
+            starts += [self._bent(speed) for speed in _SPEEDS]
         for start in starts:
             result = self._solver(
                 x0=start[1:].ravel(), lbx=np.tile(self._low, INTERVALS),
@@ -81,8 +83,6 @@ class Optimum:
 
     def _problem(self) -> tuple[ca.Function, tuple[Array, Array]]:
         robot, n = self._robot, self._robot.n
-        scene = self._scene
-        maps = inflated_obstacles(scene, [c.radius + self._margin for c in robot.capsules])
         q = ca.SX.sym('q', n)
         tip, ends = _forward(robot, q)
         pose = ca.SX.sym('pose', 12)
@@ -93,16 +93,11 @@ class Optimum:
             0.5 * ca.vertcat(turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0],
                              turned[1, 0] - turned[0, 1]))
         rows = robot.task_rows(np.arange(6)).astype(int).tolist()
-        levels = []
-        for link, (start, end) in enumerate(ends):
-            for obstacle in range(len(scene.names)):
-                matrix = maps.inverse[link, obstacle][:, None] * maps.rotations[obstacle].T
-                first = ca.mtimes(matrix, start - scene.centers[obstacle])
-                along = ca.mtimes(matrix, end - start)
-                t = ca.fmin(ca.fmax(
-                    -ca.dot(first, along) / (ca.dot(along, along) + 1e-12), 0.0), 1.0)
-                levels.append(ca.sumsqr(first + t * along))
-        node = ca.Function('node', [q, pose], [error[rows], ca.vertcat(*levels)])
+        clear = [
+            clearance(obstacle, *ends[i], float(np.linalg.norm(link.end - link.start)),
+                      link.radius + self._margin)
+            for i, link in enumerate(robot.capsules) for obstacle in self._obstacles]
+        node = ca.Function('node', [q, pose], [error[rows], ca.vertcat(*clear)])
 
         path = ca.SX.sym('path', n, INTERVALS)
         previous, cost = ca.SX(self._start), ca.SX(0.0)
@@ -111,12 +106,16 @@ class Optimum:
             now = path[:, i]
             step = self._times[i + 1] - self._times[i]
             cost += ca.sumsqr(now - previous) / step
-            pose_now = self._poses[i + 1]
-            gap, level = node(now, np.concatenate(
-                (pose_now.position, pose_now.rotation.T.ravel())))
-            constraints += [gap, level]
-            low += [0.0] * len(rows) + [1.0] * len(levels)
-            high += [0.0] * len(rows) + [np.inf] * len(levels)
+            wanted_now = self._poses[i + 1] or Pose(np.zeros(3), np.eye(3))
+            gap, clearances = node(now, np.concatenate(
+                (wanted_now.position, wanted_now.rotation.T.ravel())))
+            if self._poses[i + 1] is not None:
+                constraints.append(gap)
+                low += [0.0] * len(rows)
+                high += [0.0] * len(rows)
+            constraints.append(clearances)
+            low += [0.0] * len(clear)
+            high += [np.inf] * len(clear)
             previous = now
         solver = ca.nlpsol(
             'shortest', 'ipopt',
@@ -135,6 +134,7 @@ class Optimum:
         aside = np.random.default_rng(0).normal(size=robot.n)
         path = [q]
         for i, pose in enumerate(self._poses[1:]):
+            assert pose is not None
             step = self._times[i + 1] - self._times[i]
             jacobian = robot.kinematics(q).jacobian
             inverse = np.linalg.pinv(jacobian, rcond=0.02)

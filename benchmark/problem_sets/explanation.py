@@ -5,22 +5,29 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from benchmark.bodies import Bodies
 from benchmark.closest_approach import Motion
 from benchmark.free_way import FreeWay
-from benchmark.problem_sets.problem import Problem, tip_pose
+from benchmark.problem_sets.generated import posture_at
+from benchmark.problem_sets.problem import posture_fault, Problem, tip_pose
 from redundant_planner.core.robot.model import Robot
+
+Array = npt.NDArray[np.float64]
 
 # Poses along the line that are looked at.
 _POSES = 400
-# Searches with other random numbers.
-_SEARCHES = 3
+# Searches with other random numbers, to the goal's posture and to others with the same pose.
+_SEARCHES = 2
+_OTHER_GOALS, _GUESSES = 2, 20
 
 
 def free_way_exists(robot: Robot, capsules: Bodies, problem: Problem, margin: float) -> bool:
-    """Return whether a search finds a way to the goal that gives up the line.
+    """Return whether a search finds a way to the goal's pose that gives up the line.
+
+    It finds most ways there are, but not all of them: a share of ways is a lower bound.
 
     Args:
         robot: the arm.
@@ -29,8 +36,24 @@ def free_way_exists(robot: Robot, capsules: Bodies, problem: Problem, margin: fl
         margin: kept from obstacles [m].
     """
     search = FreeWay(robot, capsules, problem.obstacles, margin)
-    return any(search.find(problem.start, problem.goal, seed) is not None
-               for seed in range(_SEARCHES))
+    goals = [problem.goal, *_other_goals(robot, capsules, problem, margin)]
+    return any(search.find(problem.start, goal, seed) is not None
+               for goal in goals for seed in range(_SEARCHES))
+
+
+def _other_goals(
+    robot: Robot, capsules: Bodies, problem: Problem, margin: float,
+) -> list[Array]:
+    """Return free postures (n,) with the tip at the goal."""
+    random, pose = np.random.default_rng(0), tip_pose(robot, problem.goal)
+    found: list[Array] = []
+    for _ in range(_GUESSES):
+        q = posture_at(robot, pose, random.uniform(robot.position_min, robot.position_max))
+        if q is not None and not posture_fault(robot, capsules, problem.obstacles, q, margin):
+            found.append(q)
+        if len(found) == _OTHER_GOALS:
+            break
+    return found
 
 
 def line_blocked(robot: Robot, capsules: Bodies, problem: Problem, margin: float) -> bool:
