@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+import itertools
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import (
     BOX,
     CAPSULE,
@@ -47,7 +53,52 @@ def fitted(kinds: Indices, sizes: Array) -> Array:
     return result
 
 
-def small_obstacles(
+class Layout(NamedTuple):
+    """What obstacles around a motion are like.
+
+    Attributes:
+        shapes: of them, in turn.
+        clear_way: whether they keep off the motion and where it would lead if it went on, too.
+    """
+
+    shapes: tuple[str, ...] = (ELLIPSOID,)
+    clear_way: bool = False
+
+
+ELLIPSOIDS = Layout()
+
+
+def obstacles_off(
+    robot: Robot, postures: Array, count: int, extent: tuple[Sequence[float], Sequence[float]],
+    shapes: tuple[str, ...],
+) -> list[Obstacle]:
+    """Return obstacles with half extents of 2 to 5 cm that keep 5 cm off postures (k, n).
+
+    Args:
+        robot: the arm.
+        postures: (k, n) [rad, m].
+        count: of the obstacles.
+        extent: lowest and highest coordinates of their centres [m].
+        shapes: of the obstacles, in turn; only ellipsoids keep to base axes.
+    """
+    random = np.random.default_rng(0)
+    arms = robot.kinematics_along(postures)
+    radii = [capsule.radius + 0.05 for capsule in robot.capsules]
+    found: list[Obstacle] = []
+    for first in itertools.count(step=count):
+        if len(found) >= count:
+            break
+        drawn = np.array([(random.uniform(*extent), random.uniform(0.02, 0.05, 3))
+                          for _ in range(count)])
+        batch = _small_obstacles(shapes, drawn[:, 0], drawn[:, 1], random, first)
+        clear = link_clearance(
+            inflated_obstacles(Scene.of(batch), radii), arms.segment_start,
+            arms.segment_end).normalized_distance.min(axis=(0, 1)) > 0.0
+        found += [obstacle for obstacle, free in zip(batch, clear) if free]
+    return found[:count]
+
+
+def _small_obstacles(
     shapes: tuple[str, ...], centers: Array, sizes: Array, random: np.random.Generator,
     first: int,
 ) -> list[Obstacle]:

@@ -27,9 +27,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmark.crowds import SHAPE_NAMES, shapes_of, small_obstacles
+from benchmark.crowds import ELLIPSOIDS, Layout, obstacles_off, SHAPE_NAMES, shapes_of
 from benchmark.scenarios import make_robot
-from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs
 from redundant_planner.core.obstacles.obstacle import ELLIPSOID, Obstacle
@@ -63,24 +62,30 @@ _EXTENTS = {'reach': ((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2)),
 
 
 def obstacles_around(
-    robot: Robot, start: Array, count: int, where: str, shapes: tuple[str, ...] = (ELLIPSOID,),
+    robot: Robot, start: Array, count: int, where: str, layout: Layout = ELLIPSOIDS,
 ) -> list[Obstacle]:
-    """Return obstacles of 2 to 5 cm that keep 5 cm off the arm's start posture.
+    """Return obstacles of 2 to 5 cm that keep 5 cm off the arm's start posture."""
+    postures = _way(robot, start) if layout.clear_way else np.array([start])
+    return obstacles_off(robot, postures, count, _EXTENTS[where], layout.shapes)
 
-    Their half extents lie in that range, of shapes in turn; only ellipsoids keep to base axes.
-    """
-    random = np.random.default_rng(0)
-    arm = robot.kinematics(start)
-    radii = [capsule.radius + 0.05 for capsule in robot.capsules]
-    found: list[Obstacle] = []
-    while len(found) < count:
-        drawn = np.array([(random.uniform(*_EXTENTS[where]), random.uniform(0.02, 0.05, 3))
-                          for _ in range(count)])
-        batch = small_obstacles(shapes, drawn[:, 0], drawn[:, 1], random, len(found))
-        clear = link_clearance(inflated_obstacles(Scene.of(batch), radii), arm.segment_start,
-                               arm.segment_end).normalized_distance.min(axis=0) > 0.0
-        found += [obstacle for obstacle, free in zip(batch, clear) if free]
-    return found[:count]
+
+def _way(robot: Robot, start: Array) -> Array:
+    """Return postures (k, n) of the motion, and where it leads if it goes on at any time."""
+    turn, ahead = _TURN * _DT, PlannerParameters().horizon_look_ahead
+    time = np.linspace(0.0, turn, 200)
+    # ∫ sin(2π t / T), and on from there.
+    gone = turn / (2.0 * np.pi) * (1.0 - np.cos(2.0 * np.pi * time / turn))
+    speed = np.sin(2.0 * np.pi * time / turn)
+    on = gone + ahead * speed
+    postures = []
+    for end in (on.min(), on.max()):
+        q, steps = start, 12
+        for _ in range(steps):
+            postures.append(q)
+            q = q + end / steps * (np.linalg.pinv(robot.kinematics(q).jacobian)
+                                   @ robot.task_rows(_TWIST))
+        postures.append(q)
+    return np.array(postures)
 
 
 def planner_times(
@@ -179,7 +184,7 @@ def _median(part: Any, ticks: int) -> float:
 
 
 def measure(
-    name: str, counts: list[int], ticks: int, peers: bool, shapes: tuple[str, ...] = (ELLIPSOID,),
+    name: str, counts: list[int], ticks: int, peers: bool, layout: Layout = ELLIPSOIDS,
 ) -> dict[str, Any]:
     """Measure everything for one arm; keys as in the JSON, then the number of obstacles."""
     robot, start = make_robot(name, 6 if name == 'panda' else 3), STARTS[name]
@@ -189,13 +194,13 @@ def measure(
             'mink_us', 'pink_us', 'ratio_to_mink', 'ratio_to_pink')}
     for count in track(counts, description=name):
         key = str(count)
-        around = obstacles_around(robot, start, count, 'reach', shapes)
+        around = obstacles_around(robot, start, count, 'reach', layout)
         times = planner_times(robot, start, around, 'dynamic_factor', ticks, _PASSES)
         result['tick_us'][key] = float(np.median(times))
         result['tick_p99_us'][key] = float(np.percentile(times, 99))
         result['tick_own_p99_us'][key] = float(np.percentile(times.min(axis=0), 99))
         result['hall_tick_us'][key] = float(np.median(planner_times(
-            robot, start, obstacles_around(robot, start, count, 'hall', shapes),
+            robot, start, obstacles_around(robot, start, count, 'hall', layout),
             'dynamic_factor', ticks)))
         if count <= _MOST_OF_MINK:
             result['variational_us'][key] = float(np.median(planner_times(
@@ -208,7 +213,7 @@ def measure(
             result[f'{label}_us'][key] = taken
             result[f'ratio_to_{label}'][key] = result['tick_us'][key] / taken
     result['sections_us'] = sections(
-        robot, start, obstacles_around(robot, start, 3, 'reach', shapes), ticks)
+        robot, start, obstacles_around(robot, start, 3, 'reach', layout), ticks)
     return result
 
 
@@ -231,6 +236,9 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--ticks', type=int, default=2000)
     parser.add_argument('--shapes', choices=SHAPE_NAMES, default=ELLIPSOID,
                         help='of the obstacles; mixed for all in turn')
+    parser.add_argument('--clear-way', action='store_true',
+                        help='they also keep off the motion and where it would lead, so that '
+                        'nothing is planned')
     parser.add_argument('--voxels', type=int, default=0, metavar='N',
                         help='also ticks while N voxels come in a CUBE_LIST at 30 Hz')
     parser.add_argument('--without-peers', action='store_true')
@@ -239,7 +247,7 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--json', type=Path)
     options = parser.parse_args(args)
     result = measure(options.robot, options.counts, options.ticks, not options.without_peers,
-                     shapes_of(options.shapes))
+                     Layout(shapes_of(options.shapes), options.clear_way))
     robot = make_robot(options.robot, 6 if options.robot == 'panda' else 3)
     further: dict[str, float] = {}
     if options.voxels:
@@ -264,7 +272,8 @@ def main(args: list[str] | None = None) -> int:
         console.print(f'{key.replace("_", " ")}: {value:.4g}')
     if options.json is not None:
         options.json.write_text(json.dumps(
-            {'robot': options.robot, 'shapes': options.shapes, 'versions': versions(),
+            {'robot': options.robot, 'shapes': options.shapes,
+             'clear_way': options.clear_way, 'versions': versions(),
              **result, **further}, indent=1))
     return 0
 

@@ -19,11 +19,13 @@ from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.perception_parameters import CloudParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-from benchmark import cloud, loop, speed
+from benchmark import cloud, loop, speed, worst_case
+from benchmark.crowds import ALL_SHAPES, Crowd, KINDS, Layout
 from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, Task
 from benchmark.judge import Judge
 from benchmark.scenarios import make_robot, METHODS, run_planner, summarise, UNFILTERED
+from benchmark.voxels import voxel_messages, voxel_ticks
 
 
 @pytest.mark.parametrize('moving', [False, True])
@@ -163,6 +165,63 @@ def test_speed_measures_every_count_by_name():
         assert set(result[key]) == {'0', '3', '30'}
         assert all(value > 1.0 for value in result[key].values())
     assert result['mink_us'] == {} and result['sections_us']['kinematics'] > 1.0
+
+
+@pytest.mark.parametrize('clear_way', [False, True])
+def test_obstacles_of_every_shape_keep_off_the_start(clear_way):
+    robot, start = make_robot('panda', 6), speed.STARTS['panda']
+    found = speed.obstacles_around(robot, start, 40, 'reach', Layout(ALL_SHAPES, clear_way))
+    assert {o.shape for o in found} == set(ALL_SHAPES)
+    assert len({o.name for o in found}) == len(found) == 40
+    for obstacle in found:
+        assert obstacle.half_extents.min() >= 0.02 and obstacle.half_extents[:2].max() <= 0.05
+    maps = inflated_obstacles(Scene.of(found), [c.radius for c in robot.capsules])
+    # Where it would come to in 1.5 s at full speed, and half a turn.
+    q = start
+    for _ in range(10 if clear_way else 1):
+        arm = robot.kinematics(q)
+        assert link_clearance(maps, arm.segment_start, arm.segment_end).distance.min() > 0.04
+        q = q + 0.17 * np.linalg.pinv(arm.jacobian) @ speed._TWIST
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_crowds_are_made_of_obstacles_that_can_be(kind):
+    robot, start = make_robot('panda', 6), speed.STARTS['panda']
+    crowd = Crowd(kind, 24, ALL_SHAPES, np.random.default_rng(2))
+    for _ in range(20):
+        scene = crowd.scene(robot, start, 0.03)
+        # One by one they pass the checks of `Obstacle`, and come back as they were.
+        again = Scene.of(scene.obstacles())
+        np.testing.assert_array_equal(again.shapes, scene.shapes)
+        np.testing.assert_allclose(again.half_extents, scene.half_extents)
+        np.testing.assert_allclose(again.rotations, scene.rotations, atol=1e-9)
+
+
+def test_an_act_among_all_shapes_is_the_same_every_time():
+    robot = make_robot('panda', 6)
+    act = worst_case.Act('panda', 'dynamic_factor', 10, 0, 0, ALL_SHAPES)
+    plays = [worst_case.play(robot, act) for _ in range(2)]
+    assert len(plays[0][0]) == 250 and plays[0][0].min() > 1.0
+    assert plays[0][1] == plays[1][1]
+
+
+def test_voxels_come_as_boxes_that_keep_off_the_arm():
+    robot, start = make_robot('panda', 6), speed.STARTS['panda']
+    tracker, arm = ObstacleTracker((), [robot.base_frame]), robot.kinematics(start)
+    seen = []
+    for raw in voxel_messages(robot, start, 300)[:3]:
+        assert tracker.update(raw, 0.0) == []
+        scene = tracker.scene
+        assert len(scene.names) == 300 and {o.shape for o in scene.obstacles()} == {'box'}
+        np.testing.assert_allclose(scene.half_extents, 0.01)
+        maps = inflated_obstacles(scene, [c.radius for c in robot.capsules])
+        assert link_clearance(maps, arm.segment_start, arm.segment_end).distance.min() > 0.05
+        seen.append({tuple(center) for center in np.round(scene.centers, 6).tolist()})
+    assert 250 < len(seen[0] & seen[1]) < 300
+    times = voxel_ticks(robot, start, 300, speed._twist_at, 17)
+    assert times['voxels'] == 300 and times['voxel_longest_us'] > times['voxel_step_us'] > 1.0
+    with pytest.raises(ValueError, match='do not fit'):
+        voxel_messages(robot, start, 1_000_000)
 
 
 def test_the_loops_obstacles_leave_the_start_free():
