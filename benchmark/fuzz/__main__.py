@@ -28,7 +28,7 @@ from rich.table import Table
 
 from benchmark.fuzz.tally import PATIENCE, Tally
 
-KINDS = ('core', 'bytes', 'parameters', 'robots', 'files', 'bags')
+KINDS = ('core', 'bytes', 'parameters', 'robots', 'files', 'bags', 'clouds')
 COUNTS = ('inputs', 'refusals', 'unforeseen_exceptions', 'limit_violations', 'non_finite')
 
 # An attack draws from its own generator, writes to its own folder and counts into the tally.
