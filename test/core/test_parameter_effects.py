@@ -1,0 +1,155 @@
+"""Each parameter moves what its description names, and in the direction it says.
+
+A case runs one closed loop twice, with a low and with a high value of one parameter, and compares
+one quantity, most of them such as a user sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cache
+
+from motion_quantities import (
+    distance_at_first_evasion,
+    distance_between_links,
+    effort,
+    fastest_joint,
+    fastest_least_norm,
+    largest_jump_of_the_null_space,
+    largest_path_error,
+    least_norm_at_the_end,
+    null_space_share,
+    off_mid_range,
+    path_length,
+    room_to_limits,
+    smallest_distance,
+    smallest_singular_value,
+    time_lost,
+    turn_of_the_tip,
+    way_of_the_first_joint,
+    way_of_the_tip,
+)
+from parameter_scenarios import (
+    across_the_first_link,
+    between_two_balls,
+    fast,
+    folding,
+    free,
+    free_announced,
+    free_position,
+    held_up,
+    held_up_announced,
+    into_a_rail_end,
+    into_the_first_link,
+    into_the_forearm,
+    Motion,
+    past_a_singularity,
+    pushed,
+    pushed_far,
+    stretching,
+    towards_a_ball,
+)
+import pytest
+
+from redundant_planner.core.parameters import PlannerParameters
+
+# The two values of a quantity differ by at least this share of the larger one.
+LEAST_SHARE = 0.05
+
+DEFAULTS = PlannerParameters()
+# Eq. 2 alone, without the joint path ahead; then with one index of Eq. 18 at most.
+EQ_2 = PlannerParameters(horizon_look_ahead=0.0)
+NO_CLEARANCE = replace(EQ_2, criteria_k_w=0.0)
+ONLY_CLEARANCE = replace(EQ_2, criteria_k_f=0.0)
+FIXED = PlannerParameters(method='gradient_projection')
+VARIATIONAL = PlannerParameters(method='variational')
+# Where the filter lets the arm into a singularity, and damping is what is left.
+SINGULAR = PlannerParameters(singularity_margin=0.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """With `high` instead of `low` a quantity of a scenario grows (`+`) or shrinks (`-`)."""
+
+    name: str
+    low: object
+    high: object
+    scenario: Callable[[PlannerParameters], Motion]
+    quantity: Callable[[Motion], float]
+    sign: str
+    others: PlannerParameters = DEFAULTS
+
+
+CASES = [
+    Case('method', 'gradient_projection', 'dynamic_factor', held_up, time_lost, '-'),
+    Case('method', 'gradient_projection', 'variational', held_up, time_lost, '-'),
+    Case('method', 'dynamic_factor', 'variational', free_announced, effort, '-'),
+    Case('method', 'paper', 'dynamic_factor', towards_a_ball, smallest_distance, '+'),
+    Case('method', 'paper_gradient_projection', 'gradient_projection', towards_a_ball,
+         smallest_distance, '+'),
+    Case('path_priority', 'strict', 'yield', into_the_forearm, smallest_distance, '+'),
+    Case('path_priority', 'strict', 'yield', into_the_forearm, largest_path_error, '+'),
+    Case('criteria_k_alpha', 0.2, 0.9, held_up, null_space_share, '+', EQ_2),
+    Case('criteria_k_alpha', 0.2, 0.9, held_up, time_lost, '-', EQ_2),
+    Case('criteria_k_alpha', 0.9, 3.0, held_up, path_length, '+', EQ_2),
+    Case('criteria_k_fixed', 2e-5, 1e-3, held_up, time_lost, '-', FIXED),
+    Case('criteria_k_fixed', 1e-3, 1e-1, towards_a_ball, smallest_distance, '+', FIXED),
+    Case('criteria_k_w', 0.0, 30.0, held_up, time_lost, '-', EQ_2),
+    Case('criteria_k_w', 0.03, 30.0, towards_a_ball, distance_at_first_evasion, '+',
+         ONLY_CLEARANCE),
+    Case('criteria_k_s', 0.0, 10.0, free_position, off_mid_range, '-', NO_CLEARANCE),
+    Case('criteria_k_s', 0.0, 10.0, free_position, path_length, '+', NO_CLEARANCE),
+    Case('criteria_k_f', 0.0, 100.0, free, least_norm_at_the_end, '-', NO_CLEARANCE),
+    Case('criteria_k_m', 0.0, 10.0, past_a_singularity, smallest_singular_value, '+',
+         replace(EQ_2, singularity_margin=0.15)),
+    Case('criteria_joint_weights', (1.0,) * 7, (5.0, *(1.0,) * 6), free, way_of_the_first_joint,
+         '-'),
+    Case('clearance_margin', 0.01, 0.05, towards_a_ball, smallest_distance, '+'),
+    Case('clearance_influence_distance', 0.05, 0.1, towards_a_ball, distance_at_first_evasion,
+         '+', ONLY_CLEARANCE),
+    Case('clearance_smoothing', 0.0, 0.5, between_two_balls, largest_jump_of_the_null_space, '-',
+         ONLY_CLEARANCE),
+    Case('clearance_self_margin', -1.0, 0.005, folding, distance_between_links, '+'),
+    Case('clearance_self_margin', 0.005, 0.05, folding, way_of_the_tip, '-'),
+    Case('clearance_gain', 0.5, 5.0, towards_a_ball, smallest_distance, '-', NO_CLEARANCE),
+    Case('clearance_gain', 0.5, 5.0, towards_a_ball, way_of_the_tip, '+', NO_CLEARANCE),
+    Case('clearance_lead', 0.0, 0.1, across_the_first_link, smallest_distance, '+'),
+    Case('clearance_evasion_horizon', 0.0, 2.0, into_the_first_link, smallest_distance, '+'),
+    Case('limits_position_margin', 0.01, 0.05, into_a_rail_end, room_to_limits, '+'),
+    Case('limits_linear_speed', 0.05, 1.0, fast, way_of_the_tip, '+'),
+    Case('limits_angular_speed', 0.1, 2.0, fast, turn_of_the_tip, '+'),
+    Case('singularity_margin', 0.04, 0.1, stretching, smallest_singular_value, '+'),
+    Case('singularity_margin', 0.04, 0.1, stretching, way_of_the_tip, '-'),
+    Case('singularity_margin', 0.04, 0.1, stretching, fastest_joint, '-'),
+    Case('singularity_damping', 0.02, 0.2, stretching, fastest_least_norm, '-', SINGULAR),
+    Case('singularity_damping_threshold', 0.03, 0.1, stretching, fastest_least_norm, '-',
+         SINGULAR),
+    Case('horizon_duration', 0.3, 3.0, held_up_announced, time_lost, '-', VARIATIONAL),
+    Case('horizon_held_duration', 0.2, 1.0, held_up, time_lost, '-', VARIATIONAL),
+    Case('horizon_nodes', 2, 12, held_up_announced, time_lost, '-', VARIATIONAL),
+    Case('horizon_look_ahead', 0.0, 1.5, held_up, time_lost, '-'),
+    Case('feedback_gain', 1.0, 10.0, pushed, way_of_the_tip, '-'),
+    Case('feedback_speed', 0.02, 0.1, pushed, way_of_the_tip, '-'),
+    Case('feedback_angular_speed', 0.05, 0.5, pushed, turn_of_the_tip, '-'),
+    Case('feedback_distance', 0.02, 0.3, pushed_far, way_of_the_tip, '-'),
+    Case('feedback_angle', 0.05, 0.5, pushed_far, turn_of_the_tip, '-'),
+]
+
+
+@cache  # some compare the same motion
+def motion_of(scenario, parameters):
+    return scenario(parameters)
+
+
+def test_every_parameter_has_a_case():
+    assert {case.name for case in CASES} == {entry.name for entry in fields(PlannerParameters)}
+
+
+@pytest.mark.parametrize('case', CASES, ids=lambda case: f'{case.name}-{case.quantity.__name__}')
+def test_a_parameter_acts_in_the_direction_that_it_says(case):
+    low, high = (
+        case.quantity(motion_of(case.scenario, replace(case.others, **{case.name: value})))
+        for value in (case.low, case.high))
+    growth = high - low if case.sign == '+' else low - high
+    assert growth > LEAST_SHARE * max(abs(low), abs(high)), f'{low:.4g} → {high:.4g}'
