@@ -413,6 +413,16 @@ def test_a_speed_limit_of_zero_stops_the_arm(panda, limit):
     assert np.abs(result.dq).max() < 1e-9
 
 
+@pytest.mark.parametrize('margin', [0.005, 0.01, 0.02, 0.03])
+def test_a_joint_that_brakes_with_the_others_uses_half_its_margin_at_most(paper_arm, margin):
+    """Other joints take longer to stop than the rail, which is already near its end."""
+    q = [0.35, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0]
+    postures, _ = drive(
+        Planner(paper_arm, PlannerParameters(limits_position_margin=margin)), q,
+        np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.0]), seconds=2.0)
+    assert (paper_arm.position_max[0] - postures[:, 0]).min() >= 0.49 * margin
+
+
 @pytest.mark.parametrize('margin', [0.15, 0.1999])
 def test_a_margin_that_grows_over_a_moving_arm_brakes_it_within_the_acceleration_limits(margin):
     """Found deep inside the margin on its way out, it stops on what is left of it."""

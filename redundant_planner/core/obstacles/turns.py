@@ -24,7 +24,7 @@ from redundant_planner.core.kernels import (
 )
 from redundant_planner.core.obstacles.clearance import link_pair
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
-from redundant_planner.core.obstacles.shapes import Place
+from redundant_planner.core.obstacles.shapes import ELLIPSOID, Place
 from redundant_planner.core.robot.kinematics import Links
 
 Array = npt.NDArray[np.float64]
@@ -33,6 +33,10 @@ Array = npt.NDArray[np.float64]
 TIME_STEP = 0.05
 # A link is clear at this distance from the obstacles, beyond what is kept from them anyway [m].
 CLEAR_DISTANCE = 0.005
+# Further away than this no distance is needed exactly [m].
+_FAR_ENOUGH = 0.1
+# What the distance of another shape costs, in distances of ellipsoids.
+_COST_OF_OTHERS = 5
 
 
 class TurningJoints(NamedTuple):
@@ -61,7 +65,7 @@ class Choice(NamedTuple):
         turn: index of the best one, −1 if none counts.
         shortage: what it falls short [m²].
         tried: how many turns are done with.
-        distances: how many distances of links from obstacles this took.
+        distances: how many distances of links from ellipsoids would have taken as long.
     """
 
     turn: int
@@ -118,9 +122,11 @@ def _distance(
 ) -> float:
     """Return a link's smallest distance from where obstacles are after a time [m]."""
     least = np.inf
+    # Beyond what is far enough a bound from below serves as well.
     here, there = Place(start[0], start[1], start[2]), Place(end[0], end[1], end[2])
     for obstacle in range(len(obstacles.speeds)):
-        rho, _ = link_pair(obstacles, link, obstacle, time, here, there, least)
+        rho, _ = link_pair(
+            obstacles, link, obstacle, time, here, there, min(least, _FAR_ENOUGH))
         least = min(least, rho * obstacles.smallest[link, obstacle])
     return least
 
@@ -190,17 +196,19 @@ def best_turn(
         velocities: (k,) theirs now [rad/s, m/s].
         turns: (t, k) [rad, m].
         limit: turns that fall short by this much do not count [m²].
-        budget: no further turn is tried once so many distances have been looked at.
+        budget: no further turn is tried once so many distances of ellipsoids have been spent.
     """
     at_first = np.zeros(len(joints.weights))
     for link in joints.links:
         at_first[link] = _distance(
             obstacles, link, arm.start[link], arm.end[link], 0.0) - CLEAR_DISTANCE
+    others = int(np.sum(obstacles.shapes != ELLIPSOID))
+    cost = len(obstacles.shapes) + (_COST_OF_OTHERS - 1) * others
     chosen, smallest, tried, spent = -1, limit, 0, 0
     while tried < len(turns) and (tried == 0 or spent < budget):
         shortage, measured = _shortage(
             arm, obstacles, joints, velocities, turns[tried], at_first, smallest)
-        spent += measured * len(obstacles.speeds)
+        spent += measured * cost
         if shortage < smallest:
             chosen, smallest = tried, shortage
         # Nothing is better than a turn that falls short of nothing.

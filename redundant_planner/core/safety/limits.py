@@ -73,8 +73,9 @@ def velocity_bounds(
       in time. As T ≥ |q̇_j| / a_j for every joint, the joint alone can brake in time as well.
     The lower bound mirrors it. A joint outside its range may not move further out. Where the
     acceleration limit contradicts the others, they win. But measurements are always a little
-    old: an arm found further on than it could be may brake in proportion, as long as that uses
-    up no more than half of what is left of the margin.
+    old: an arm found further on than it could be may brake in proportion, which keeps its path,
+    as long as that leads no further than half the margin. A joint that brakes as hard as it may
+    can use half of what is left of the margin.
 
     Args:
         q: (n,) positions.
@@ -95,10 +96,12 @@ def velocity_bounds(
         for i in range(n):
             room = (limits.positions[1 - side, i] - q[i]) * outward
             speed = max(room, 0.0) / (stop / 2.0 + dt)
-            if limits.margin > 0.0:
-                left = max(limits.margin + min(room, 0.0), 0.0)
-                last = (max(room, 0.0) + 0.5 * left) / (stop / 2.0 + dt)
-                speed = max(speed, min(slowed[i] * outward, last))
+            inside, reach = min(room, 0.0), stop / 2.0 + dt
+            half = max(room, 0.0) + max(0.5 * limits.margin + inside, 0.0)
+            deep = max(room, 0.0) + 0.5 * max(limits.margin + inside, 0.0)
+            slowest = previous[i] * outward - limits.acceleration_max[i] * dt
+            speed = max(speed, min(slowed[i] * outward, half / reach),
+                        min(slowest, deep / reach))
             bounds[side, i] = outward * min(limits.velocity_max[i], speed)
     for i in range(n):
         slowest, fastest = bounds[0, i], bounds[1, i]
