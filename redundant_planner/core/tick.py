@@ -13,15 +13,17 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.kernels import entry, kernel, OutVector, Vector
+from redundant_planner.core.obstacles.clearance import link_pair, place
 from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import but_walls, near_pairs, NearPairs
 from redundant_planner.core.obstacles.self_collision import near_links, SelfPairs
+from redundant_planner.core.obstacles.shapes import ELLIPSOID, Place
 from redundant_planner.core.redundancy import criteria, null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.redundancy.reference import pose_after, Start, Task, task_of
 from redundant_planner.core.robot.jacobian import derivative_between
-from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.robot.kinematics import Kinematics, Links
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety import barriers as rows
 from redundant_planner.core.safety.barriers import (
@@ -34,6 +36,9 @@ from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.pace import pace, unseen_distances, unseen_share
 
 Array = npt.NDArray[np.float64]
+
+# How often a link is looked at on its way past an obstacle.
+_LOOKS = 12
 
 
 class Memory(NamedTuple):
@@ -160,12 +165,45 @@ def _total_gradient(
 
 
 @kernel
+def _meets(
+    obstacles: InflatedObstacles, links: Links, link: int, obstacle: int, motion: Vector,
+    look_ahead: float,
+) -> bool:
+    """Return whether a motion (n,), gone on with for `look_ahead` [s], takes a link into a shape.
+
+    The ends of its segment are taken to go on straight.
+    """
+    start, end = place(links.start, link), place(links.end, link)
+    u, v = np.zeros(3), np.zeros(3)
+    for j in range(len(motion)):
+        speed = motion[j] * links.supports[link, j]
+        if speed != 0.0:
+            a, b, c, x, y, z = links.joint_screws[:, j]
+            for way, at in ((u, start), (v, end)):
+                way[0] += speed * (a + y * at.z - z * at.y)
+                way[1] += speed * (b + z * at.x - x * at.z)
+                way[2] += speed * (c + x * at.y - y * at.x)
+    for step in range(1, _LOOKS + 1):
+        t = look_ahead * step / _LOOKS
+        rho, _ = link_pair(
+            obstacles, link, obstacle, t,
+            Place(start.x + t * u[0], start.y + t * u[1], start.z + t * u[2]),
+            Place(end.x + t * v[0], end.y + t * v[1], end.z + t * v[2]), 0.0)
+        if rho < 0.0:
+            return True
+    return False
+
+
+@kernel
 def _blocked(
-    near: NearPairs, q: Vector, motion: Vector, limits: Limits, look_ahead: float,
+    near: NearPairs, obstacles: InflatedObstacles, arm: Kinematics, links: Links, motion: Vector,
+    limits: Limits, look_ahead: float,
 ) -> bool:
     """Return whether a motion (n,), gone on with, leads into an obstacle or a joint limit.
 
-    Clearances and positions are taken to go on changing as they do, for `look_ahead` [s].
+    Clearances and positions are taken to go on changing as they do, for `look_ahead` [s]. That is
+    a bound from below. It is far too low for a box that the arm passes, so other shapes than
+    ellipsoids are then looked at on the way.
     """
     if look_ahead == 0.0:
         return False
@@ -173,10 +211,13 @@ def _blocked(
         rate = near.rate[i]
         for j in range(len(motion)):
             rate += near.gradient[i, j] * motion[j]
-        if near.normalized_distance[i] + look_ahead * rate < 0.0:
+        if near.normalized_distance[i] + look_ahead * rate < 0.0 and (
+                obstacles.shapes[near.obstacles[i]] == ELLIPSOID or _meets(
+                    obstacles, links, near.links[i], near.obstacles[i], motion, look_ahead)):
             return True
     for j in range(len(motion)):
-        if not limits.positions[1, j] <= q[j] + look_ahead * motion[j] <= limits.positions[0, j]:
+        ahead = arm.q[j] + look_ahead * motion[j]
+        if not limits.positions[1, j] <= ahead <= limits.positions[0, j]:
             return True
     return False
 
@@ -251,4 +292,4 @@ def wish(
         pose_after(task.reference, commanded, constants.rows, constants.in_tool, dt),
         room, at, intruded, near.nearest_link, near.nearest_obstacle,
         near.nearest_normalized_distance, near.nearest_distance, admissible,
-        _blocked(near, arm.q, least_norm, limits, gains.horizon_look_ahead), share)
+        _blocked(near, obstacles, arm, links, least_norm, limits, gains.horizon_look_ahead), share)

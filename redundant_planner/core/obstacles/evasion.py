@@ -21,7 +21,13 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.kernels import entry, kernel, Vector
-from redundant_planner.core.obstacles.clearance import from_center, in_unit_ball, link_pair, place
+from redundant_planner.core.obstacles.clearance import (
+    core_of,
+    from_center,
+    in_unit_ball,
+    link_pair,
+    place,
+)
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.self_collision import nearest_parameters
 from redundant_planner.core.obstacles.shapes import ELLIPSOID, Place
@@ -165,6 +171,24 @@ class Evasion:
 
 
 @kernel
+def _segments_apart(u: Place, v: Place, w: Place) -> float:
+    """Return the distance between a link and a course, both of them segments.
+
+    Args:
+        u, v: along the link, and along the course.
+        w: from the course's beginning to the link's.
+    """
+    a = u.x * u.x + u.y * u.y + u.z * u.z
+    b = u.x * v.x + u.y * v.y + u.z * v.z
+    c = u.x * w.x + u.y * w.y + u.z * w.z
+    e = v.x * v.x + v.y * v.y + v.z * v.z
+    f = v.x * w.x + v.y * w.y + v.z * w.z
+    g = w.x * w.x + w.y * w.y + w.z * w.z
+    s, t = nearest_parameters(a, b, c, e, f)
+    return math.sqrt(max(g + s * s * a + t * t * e + 2.0 * (s * c - t * f - s * t * b), 0.0))
+
+
+@kernel
 def _course_of_ellipsoid(
     obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place,
     horizon: float,
@@ -174,23 +198,29 @@ def _course_of_ellipsoid(
     The course is a segment, so where the inflated ellipsoid is the unit ball it is segment
     against segment.
     """
-    x1, y1, z1 = start
-    x2, y2, z2 = end
-    way1, way2, way3 = obstacles.twists[obstacle, :3] * horizon
-    # Along the link, along the course, and from the obstacle's centre to the link.
-    u1, u2, u3 = in_unit_ball(obstacles, link, obstacle, x2 - x1, y2 - y1, z2 - z1)
-    v1, v2, v3 = in_unit_ball(obstacles, link, obstacle, way1, way2, way3)
-    w1, w2, w3 = from_center(obstacles, obstacle, 0.0, x1, y1, z1)
-    w1, w2, w3 = in_unit_ball(obstacles, link, obstacle, w1, w2, w3)
-    a = u1 * u1 + u2 * u2 + u3 * u3
-    b = u1 * v1 + u2 * v2 + u3 * v3
-    c = u1 * w1 + u2 * w2 + u3 * w3
-    e = v1 * v1 + v2 * v2 + v3 * v3
-    f = v1 * w1 + v2 * w2 + v3 * w3
-    g = w1 * w1 + w2 * w2 + w3 * w3
-    s, t = nearest_parameters(a, b, c, e, f)
-    squared = g + s * s * a + t * t * e + 2.0 * (s * c - t * f - s * t * b)
-    return (math.sqrt(max(squared, 0.0)) - 1.0) * obstacles.smallest[link, obstacle]
+    x, y, z = obstacles.twists[obstacle, :3] * horizon
+    a, b, c = from_center(obstacles, obstacle, 0.0, start.x, start.y, start.z)
+    apart = _segments_apart(
+        Place(*in_unit_ball(
+            obstacles, link, obstacle, end.x - start.x, end.y - start.y, end.z - start.z)),
+        Place(*in_unit_ball(obstacles, link, obstacle, x, y, z)),
+        Place(*in_unit_ball(obstacles, link, obstacle, a, b, c)))
+    return (apart - 1.0) * obstacles.smallest[link, obstacle]
+
+
+@kernel
+def _course_of_ball(
+    obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place,
+    horizon: float,
+) -> float:
+    """Return a link's smallest distance from the ball around another shape on its course [m]."""
+    x, y, z = obstacles.twists[obstacle, :3] * horizon
+    a, b, c = from_center(obstacles, obstacle, 0.0, start.x, start.y, start.z)
+    core = core_of(obstacles, obstacle)
+    corner = math.sqrt(core.x * core.x + core.y * core.y + core.z * core.z)
+    apart = _segments_apart(
+        Place(end.x - start.x, end.y - start.y, end.z - start.z), Place(x, y, z), Place(a, b, c))
+    return apart - corner - obstacles.inflation[link, obstacle]
 
 
 @kernel
@@ -245,11 +275,9 @@ def _threat(
                 distance = _course_of_ellipsoid(
                     obstacles, link, obstacle, start, end, joints.horizon)
             else:
-                # What is further away than its course is long need not be looked at.
-                near = least - none + speed * joints.horizon
-                distance, _ = link_pair(obstacles, link, obstacle, 0.0, start, end, near)
-                distance *= obstacles.smallest[link, obstacle]
-                if distance < near:
+                distance = _course_of_ball(
+                    obstacles, link, obstacle, start, end, joints.horizon)
+                if distance + none < least:
                     distance = _course_of_other(
                         obstacles, link, obstacle, start, end, joints.horizon)
             if distance + none < least:

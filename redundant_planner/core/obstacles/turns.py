@@ -36,7 +36,7 @@ CLEAR_DISTANCE = 0.005
 # Further away than this no distance is needed exactly [m].
 _FAR_ENOUGH = 0.1
 # What the distance of another shape costs, in distances of ellipsoids.
-_COST_OF_OTHERS = 5
+_COST_OF_OTHERS = 20
 
 
 class TurningJoints(NamedTuple):
