@@ -13,8 +13,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
-from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.shapes import ELLIPSOID
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
@@ -53,7 +53,10 @@ def voxel_centers(robot: Robot, start: Array, count: int) -> Array:
         index = np.stack(np.unravel_index(order[first:first + _CANDIDATES], cells), axis=-1)
         centers = _LOW + (index + 0.5) * _SIZE
         # The ball around a voxel will do.
-        balls = Scene.of([Obstacle('', center, np.full(3, _SIZE)) for center in centers])
+        many, resting = len(centers), np.zeros((len(centers), 3))
+        balls = Scene(
+            ('',) * many, np.full(many, ELLIPSOID), centers, np.tile(np.eye(3), (many, 1, 1)),
+            np.full((many, 3), _SIZE), resting, resting)
         pairs = link_clearance(
             inflated_obstacles(balls, radii), arm.segment_start, arm.segment_end)
         found = np.vstack((found, centers[pairs.distance.min(axis=0) > 0.0]))

@@ -86,12 +86,20 @@ _GAP = 0.03
 _MACHINE = pytest.StashKey[Standstill]()
 
 
+_OF_BENCHMARKS = ('test_benchmark.py', 'test_closest_approach.py', 'test_problem_sets.py')
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark what takes live processes, for side_by_side.py."""
+    """Mark what takes live processes, for side_by_side.py.
+
+    And what tests benchmark/, at the end: both cores are then busy for about as long.
+    """
     for item in items:
-        if item.get_closest_marker('flaky') or 'paper_runs' in item.fixturenames:
+        if (item.get_closest_marker('flaky') or 'paper_runs' in item.fixturenames
+                or item.path.name in _OF_BENCHMARKS):
             item.add_marker(pytest.mark.live)
+    items.sort(key=lambda item: item.path.name in _OF_BENCHMARKS)
 
 
 @pytest.hookimpl(tryfirst=True)
