@@ -195,7 +195,8 @@ class ObstacleTracker:
         if lists.any() or self._lists.count:
             problems += self._take_lists(markers, lists | acting, centers, axes, now)
         self._keep(self._tracks.expiry > -np.inf)
-        if adds[first:].all() and len(rows) == len(actions) - first and all(
+        # What stands before a DELETEALL may be wrong next time, and that has to be said.
+        if first <= 1 and adds[first:].all() and len(rows) == len(actions) - first and all(
                 frame in self._frames for frame in set(listing.frames)):
             self._known = _KnownListing(listing, first, rows, types[places])
         return problems

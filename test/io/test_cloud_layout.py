@@ -28,7 +28,9 @@ def clouds(draw):
     order = draw(st.sampled_from('<>'))
     names = draw(st.permutations(['x', 'y', 'z', 'rgb', 'intensity', '']))
     cloud = PointCloud2(height=height, width=width, is_bigendian=order == '>')
-    cloud.header.frame_id = draw(st.text(max_size=9))
+    # ROS strings end at the first zero character.
+    cloud.header.frame_id = draw(st.text(
+        st.characters(min_codepoint=1, codec='utf-8'), max_size=9))
     cloud.header.stamp.sec = draw(st.integers(-2**31, 2**31 - 1))
     cloud.header.stamp.nanosec = draw(st.integers(0, 999_999_999))
     at, places = 0, {}
