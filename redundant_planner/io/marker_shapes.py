@@ -143,7 +143,7 @@ def upright_to(ways: Matrix) -> Array:
         x, y, z = ways[i]
         size = np.sqrt(x * x + y * y + z * z)
         x, y, z = (x / size, y / size, z / size) if size > 0.0 else (0.0, 0.0, 1.0)
-        # The base axis most across it, made perpendicular (Duff et al., 2017).
+        # Sound for every direction, the one against z included (Duff et al., 2017).
         sign = 1.0 if z >= 0.0 else -1.0
         a = -1.0 / (sign + z)
         b = x * y * a

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import math
 
 from redundant_planner.core.errors import ParameterError
+from redundant_planner.core.obstacles.workspace import check_box
 from redundant_planner.core.parameters import check, parameter
 
 # Quaternions further from unit length than this are a mistake, not round-off.
@@ -76,13 +77,7 @@ class CloudParameters:
         """Check every value and the relations between them."""
         check(self)
         _check_pose('sensor_pose', self.sensor_pose)
-        if len(self.crop_box) not in (0, 6):
-            raise ParameterError(f"parameter 'crop_box' has {len(self.crop_box)} entries; it "
-                                 'takes 6, x_min y_min z_min x_max y_max z_max, or none')
-        if self.crop_box and not all(
-                low < high for low, high in zip(self.crop_box[:3], self.crop_box[3:])):
-            raise ParameterError(f"parameter 'crop_box' is {list(self.crop_box)}; each maximum "
-                                 'must be larger than its minimum')
+        check_box('crop_box', self.crop_box)
 
 
 @dataclass(frozen=True)

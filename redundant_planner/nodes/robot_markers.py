@@ -11,12 +11,13 @@ import numpy.typing as npt
 import pinocchio as pin
 from visualization_msgs.msg import Marker, MarkerArray
 
-from redundant_planner.core.obstacles.clearance import surface_point
+from redundant_planner.core.obstacles.clearance_gradients import surface_point
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.shapes import HALF_SPACE
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.step_result import Nearest
+from redundant_planner.io.marker_shapes import upright_to
 from redundant_planner.nodes.messages import marker_of
 
 Array = npt.NDArray[np.float64]
@@ -63,7 +64,8 @@ class RobotMarkers:
         """
         for start, end, shaft, cap in zip(
                 arm.segment_start, arm.segment_end, self._shafts, self._caps):
-            _place(shaft, 0.5 * (start + end), _upright_to(end - start))
+            _place(shaft, 0.5 * (start + end),
+                   pin.Quaternion(upright_to((end - start)[None])[0]).coeffs())
             cap.points = [_point(start), _point(end)]
         self._line.points = []
         if nearest is not None:
@@ -111,10 +113,3 @@ def _place(marker: Marker, position: Array, quaternion: Array) -> None:
     p, o = marker.pose.position, marker.pose.orientation
     p.x, p.y, p.z = position.tolist()
     o.x, o.y, o.z, o.w = quaternion.tolist()
-
-
-def _upright_to(direction: Array) -> Array:
-    """Return the quaternion (4,) that turns the z axis into a direction."""
-    if not direction.any():
-        return np.array([0.0, 0.0, 0.0, 1.0])
-    return pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction).coeffs()

@@ -15,11 +15,8 @@ import numpy.typing as npt
 
 from redundant_planner.core.errors import known, ParameterError, StateError
 from redundant_planner.core.horizon.preview import TwistAhead
-from redundant_planner.core.obstacles.clearance import (
-    clearance_gradients,
-    link_clearance,
-    pseudo_distance,
-)
+from redundant_planner.core.obstacles.clearance import link_clearance, pseudo_distance
+from redundant_planner.core.obstacles.clearance_gradients import clearance_gradients
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PAPER_METHODS, PlannerParameters

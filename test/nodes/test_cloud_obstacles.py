@@ -269,7 +269,7 @@ def test_without_joint_states_nothing_is_seen_and_a_silent_camera_is_missed():
 @pytest.mark.parametrize(('node', 'values', 'reason'), [
     ('cloud_obstacles', ['sensor_pose:=[1.0, 2.0]'], "'sensor_pose' has 2 entries; it takes 7"),
     ('cloud_obstacles', ['voxel_size:=0.001'], "'voxel_size' is 0.001; it must lie in [0.005, 1]"),
-    ('cloud_obstacles', ['crop_box:=[1.0, 0.0, 0.0, 0.5, 1.0, 1.0]'], 'each maximum must be'),
+    ('cloud_obstacles', ['crop_box:=[1.0, 0.0, 0.0, 0.5, 1.0, 1.0]'], 'x_min must be less'),
     ('cloud_obstacles', ['self_capsules:=[base]'], "capsule 'base' lacks 'frame'"),
     ('depth_camera', ['camera_pose:=[0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]'], 'has length 1.41'),
     ('depth_camera', ['image_width:=0'], "'image_width' is 0"),

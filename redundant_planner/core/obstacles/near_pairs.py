@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Vector
 from redundant_planner.core.obstacles.clearance import (
-    clearance_gradient,
-    clearance_gradients_of,
     core_of,
     measure,
     measure_along,
@@ -19,6 +17,10 @@ from redundant_planner.core.obstacles.clearance import (
     PairsAlong,
     place,
     segment_in_axes,
+)
+from redundant_planner.core.obstacles.clearance_gradients import (
+    clearance_gradient,
+    clearance_gradients_of,
 )
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.shapes import (

@@ -18,6 +18,27 @@ _INWARD = {
     'y_max': (_HALF, 0.0, 0.0, _HALF), 'z_max': (1.0, 0.0, 0.0, 0.0)}
 
 
+def check_box(name: str, box: Sequence[float]) -> None:
+    """Make sure that a parameter is a box or empty.
+
+    Args:
+        name: of the parameter, for the message.
+        box: x_min, y_min, z_min, x_max, y_max, z_max [m].
+
+    Raises:
+        ParameterError: it has another length, or the box is empty.
+    """
+    if not len(box):
+        return
+    if len(box) != len(_INWARD):
+        raise ParameterError(f"parameter '{name}' has {len(box)} entries; it takes six, "
+                             'x_min y_min z_min x_max y_max z_max, or none')
+    for axis, least, most in zip('xyz', box[:3], box[3:]):
+        if not least < most:
+            raise ParameterError(f"parameter '{name}' has {axis}_min {least} and {axis}_max "
+                                 f'{most}; {axis}_min must be less')
+
+
 def walls(workspace: Sequence[float]) -> tuple[Obstacle, ...]:
     """Return the six walls of a box, or none of an empty list.
 
@@ -27,17 +48,10 @@ def walls(workspace: Sequence[float]) -> tuple[Obstacle, ...]:
     Raises:
         ParameterError: it has another length, or the box is empty.
     """
+    check_box('workspace', workspace)
     if not len(workspace):
         return ()
-    if len(workspace) != len(_INWARD):
-        raise ParameterError(f"parameter 'workspace' has {len(workspace)} entries; it takes six, "
-                             f'{", ".join(_INWARD)}, or none')
-    low, high = workspace[:3], workspace[3:]
-    for axis, least, most in zip('xyz', low, high):
-        if not least < most:
-            raise ParameterError(f"parameter 'workspace' has {axis}_min {least} and {axis}_max "
-                                 f'{most}; {axis}_min must be less')
-    corners = {'min': np.array(low), 'max': np.array(high)}
+    corners = {'min': np.array(workspace[:3]), 'max': np.array(workspace[3:])}
     return tuple(
         Obstacle.half_space(f'workspace {side}', corners[side[2:]], orientation=inward)
         for side, inward in _INWARD.items())

@@ -99,9 +99,9 @@ def velocity_bounds(
             inside, reach = min(room, 0.0), stop / 2.0 + dt
             half = max(room, 0.0) + max(0.5 * limits.margin + inside, 0.0)
             deep = max(room, 0.0) + 0.5 * max(limits.margin + inside, 0.0)
-            slowest = previous[i] * outward - limits.acceleration_max[i] * dt
+            hardest = previous[i] * outward - limits.acceleration_max[i] * dt
             speed = max(speed, min(slowed[i] * outward, half / reach),
-                        min(slowest, deep / reach))
+                        min(hardest, deep / reach))
             bounds[side, i] = outward * min(limits.velocity_max[i], speed)
     for i in range(n):
         slowest, fastest = bounds[0, i], bounds[1, i]

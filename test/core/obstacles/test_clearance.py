@@ -9,11 +9,8 @@ from hypothesis.extra.numpy import arrays
 import numpy as np
 import pytest
 
-from redundant_planner.core.obstacles.clearance import (
-    clearance_gradients,
-    link_clearance,
-    pseudo_distance,
-)
+from redundant_planner.core.obstacles.clearance import link_clearance, pseudo_distance
+from redundant_planner.core.obstacles.clearance_gradients import clearance_gradients
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_clearance import all_clearances
 
-from redundant_planner.core.obstacles.clearance import clearance_gradients
+from redundant_planner.core.obstacles.clearance_gradients import clearance_gradients
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs_along
 from redundant_planner.core.obstacles.obstacle import Obstacle

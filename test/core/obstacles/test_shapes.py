@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.obstacles import shapes
-from redundant_planner.core.obstacles.clearance import link_clearance, slope_at
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.clearance_gradients import slope_at
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, HALF_SPACE, Obstacle
 from redundant_planner.core.obstacles.scene import Scene

@@ -7,7 +7,8 @@ from conftest import central_difference, make_panda, make_paper_arm, random_post
 import numpy as np
 import pytest
 
-from redundant_planner.core.obstacles.clearance import clearance_gradients, link_clearance
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.clearance_gradients import clearance_gradients
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.redundancy import criteria, null_space as ns
