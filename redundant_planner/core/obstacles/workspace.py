@@ -31,7 +31,7 @@ def check_box(name: str, box: Sequence[float]) -> None:
     if not len(box):
         return
     if len(box) != len(_INWARD):
-        raise ParameterError(f"parameter '{name}' has {len(box)} entries; it takes six, "
+        raise ParameterError(f"parameter '{name}' has {len(box)} entries; it takes 6, "
                              'x_min y_min z_min x_max y_max z_max, or none')
     for axis, least, most in zip('xyz', box[:3], box[3:]):
         if not least < most:

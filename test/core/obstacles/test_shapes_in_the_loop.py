@@ -125,7 +125,7 @@ def test_a_link_beyond_a_wall_may_come_in_but_not_go_further_out(panda):
 
 
 @pytest.mark.parametrize(('box', 'message'), [
-    ((0.0, 1.0), 'has 2 entries; it takes six'),
+    ((0.0, 1.0), 'has 2 entries; it takes 6'),
     ((0.0, 0.0, 1.0, 1.0, 1.0, 1.0), 'z_min 1.0 and z_max 1.0; z_min must be less')])
 def test_a_workspace_that_is_no_box_is_refused(box, message):
     with pytest.raises(ParameterError, match=message):
