@@ -104,7 +104,7 @@ def direction(shape: int, half: Place, at: Place) -> Place:
     if shape != CYLINDER:
         return Place(math.copysign(x, at.x), math.copysign(y, at.y), z)
     radius = math.sqrt(at.x * at.x + at.y * at.y)
-    if radius == 0.0:  # on the axis every way out is as good
+    if radius <= _TOUCHING:  # on the axis every way out is as good
         return Place(x, 0.0, z)
     return Place(x * at.x / radius, x * at.y / radius, z)
 
