@@ -1,7 +1,8 @@
 """All tests on two cores: those of live processes, and beside them all others.
 
 Live processes share ROS domains, ports and the attention of a core, so their tests run one after
-another. The others only compute, and step back behind them. Arguments go to both runs of pytest.
+another. The others only compute, and step back behind them: not so far that other work on the
+machine leaves them nothing. Arguments go to both runs of pytest.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ def main(arguments: list[str]) -> int:
     """Run both; print the live tests as they go, then the others. Return the exit status."""
     pytest = [sys.executable, '-m', 'pytest', *arguments]
     with tempfile.TemporaryFile('w+') as said:
-        others = subprocess.Popen(['nice', '-n', '19', *pytest, '-m', 'not live'], stdout=said,
+        others = subprocess.Popen(['nice', '-n', '5', *pytest, '-m', 'not live'], stdout=said,
                                   stderr=subprocess.STDOUT)
         try:
             live = subprocess.run([*pytest, '-m', 'live']).returncode

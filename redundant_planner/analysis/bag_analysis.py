@@ -16,6 +16,7 @@ from redundant_planner.analysis.path_errors import path_errors
 from redundant_planner.analysis.results import Analysis, Curves
 from redundant_planner.analysis.robot_of_bag import robot_of_bag
 from redundant_planner.analysis.smallest_clearance import SmallestClearance
+from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.bag_reader import Bag, Event, open_bag
@@ -23,6 +24,7 @@ from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk, JointsMissingError
 from redundant_planner.io.left_out import LeftOut
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.payload import Payload
 from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import (
     COMMAND_TIMEOUT,
@@ -33,7 +35,7 @@ from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
 
 Array = npt.NDArray[np.float64]
 
-_TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'obstacles', 'diagnostics')
+_TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'obstacles', 'attached', 'diagnostics')
 
 
 def analyse(
@@ -107,6 +109,7 @@ class _Motion:
         self._twists = HeldTwists(
             number_of(values, 'incoming_command_timeout', COMMAND_TIMEOUT, 10.0))
         self._clearance = SmallestClearance(robot) if robot is not None else None
+        self._payload = Payload(robot) if robot is not None else None
         self._joints = ChosenJoints(
             source, robot.joint_names if robot is not None else (), bag.left_out)
         self._sums, self._rows = JointSums(0), ThinnedRows(1)
@@ -123,7 +126,7 @@ class _Motion:
             RecordingError: there are no joint states between.
             JointsMissingError: they are of another robot.
         """
-        for item in self._bag.read(_TOPICS, begin, end, progress, order=('obstacles',)):
+        for item in self._bag.read(_TOPICS, begin, end, progress, order=('obstacles', 'attached')):
             if isinstance(item, Event):
                 self._take_event(item)
                 continue
@@ -147,6 +150,9 @@ class _Motion:
             self._tracker.update(event.raw, event.arrival)
             self._tracker.expire(event.arrival)
             self._scenes.add(event.arrival, self._tracker.scene)
+        elif event.topic == 'attached':
+            if self._payload is not None:
+                self._payload.tracker.update(event.raw, event.arrival)
         else:
             self._factor += _factors(event)
 
@@ -158,6 +164,7 @@ class _Motion:
 
     def _take_joints(self, chunk: JointChunk) -> None:
         self._tracker.expire(float(chunk.arrivals[0]))
+        self._hold(float(chunk.arrivals[0]))
         chosen = self._joints.of(chunk)
         if chosen is None:
             return
@@ -169,6 +176,23 @@ class _Motion:
                     if self._clearance is not None else np.full(len(q), np.inf))
         dq, ddq = self._sums.add(chosen.stamps, q, chosen.velocities)
         self._rows.add(np.column_stack((chosen.stamps, q, dq, ddq, distance)))
+
+    def _hold(self, now: float) -> None:
+        """Count what the hand holds at a time [s] as a part of the arm, and as no obstacle."""
+        payload, robot, clearance = self._payload, self._robot, self._clearance
+        if payload is None or robot is None or clearance is None:
+            return
+        payload.tracker.expire(now)
+        things = payload.changed()
+        if things is None:
+            return
+        try:
+            clearance.hold(robot.holding(things))
+        except ObstacleError as error:
+            self._bag.left_out.add('attached', str(error))
+            return
+        self._tracker.hidden = payload.names
+        self._scenes.add(now, self._tracker.scene)
 
     def _analysis(self) -> Analysis:
         sums, notes, clearance = self._sums, self._notes, self._clearance

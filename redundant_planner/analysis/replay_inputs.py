@@ -43,7 +43,7 @@ class Inputs:
             joint state (n,) [rad, m].
         ticks: every tick's inputs, if they were recorded, and the times of their recording.
         twists: times and cmd_vel.
-        obstacles: times and serialised MarkerArrays.
+        obstacles, attached: times and serialised MarkerArrays.
         previews: arrival times, beginnings by their stamps, and what was announced.
         commands: joint_command, stamp [ns] → velocities (n,) [rad/s, m/s].
         raw: times and messages that go into the new bag as they are, by topic.
@@ -55,6 +55,7 @@ class Inputs:
     ticks: list[tuple[float, RecordedTick]] = field(default_factory=list)
     twists: list[tuple[float, Array]] = field(default_factory=list)
     obstacles: list[tuple[float, bytes]] = field(default_factory=list)
+    attached: list[tuple[float, bytes]] = field(default_factory=list)
     previews: list[tuple[float, float, Preview]] = field(default_factory=list)
     commands: dict[int, Array] = field(default_factory=dict)
     raw: list[tuple[str, float, bytes]] = field(default_factory=list)
@@ -75,7 +76,7 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
     joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out)
               for topic in ('joint_states', 'joint_command')}
     for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', 'obstacles',
-                          'cmd_vel_preview', 'robot_description'), order=()):
+                          'attached', 'cmd_vel_preview', 'robot_description'), order=()):
         if isinstance(item, JointChunk):
             chosen = joints[item.topic].of(item)
             if chosen is None:
@@ -101,6 +102,8 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
         else:
             if item.topic == 'obstacles':
                 inputs.obstacles.append((item.arrival, item.raw))
+            elif item.topic == 'attached':
+                inputs.attached.append((item.arrival, item.raw))
             inputs.raw.append((item.topic, item.arrival, item.raw))
     if not inputs.parts:
         joints['joint_states'].check_found()
@@ -132,10 +135,7 @@ def _tick(item: Event, robot: Robot) -> RecordedTick:
     Raises:
         StateError: it is none of this robot.
     """
-    tick = RecordedTick.of(item.message.data)
-    if len(tick.q) != robot.n:
-        raise StateError(f'a recorded tick has {len(tick.q)} joint positions; the robot has '
-                         f'{robot.n} joints')
+    tick = RecordedTick.of(item.message.data, robot.n)
     if not (np.abs(np.concatenate((tick.q, tick.twist))) <= LARGEST).all():
         raise StateError(f'a recorded tick has a posture or twist beyond {LARGEST:g}')
     return tick
@@ -177,15 +177,16 @@ def _ticks_at(
 ) -> list[tuple[float, RecordedTick]]:
     """Make up the ticks of a part, whose first joint state is `start`."""
     arrivals = [np.array([entry[0] for entry in listed]) for listed in (
-        inputs.twists, inputs.obstacles, inputs.previews)]
-    latest, known, announced = (np.searchsorted(a, times, side='right') for a in arrivals)
+        inputs.twists, inputs.obstacles, inputs.previews, inputs.attached)]
+    latest, known, announced, attached = (
+        np.searchsorted(a, times, side='right') for a in arrivals)
     ticks = []
     kind, still = TickKind.STARTING, np.zeros(6)
-    for time, twist, scene, preview in zip(times, latest, known, announced):
+    for time, twist, scene, preview, held in zip(times, latest, known, announced, attached):
         fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
         elapsed = time - inputs.previews[preview - 1][1] if preview and fresh else np.nan
         ticks.append((float(time), RecordedTick(
-            0, float(time), kind, int(scene), int(preview), float(elapsed),
+            0, float(time), kind, int(scene), int(preview), float(elapsed), int(held),
             inputs.twists[twist - 1][1] if fresh else still, start)))
         kind = TickKind.GOING_ON
     return ticks

@@ -33,6 +33,11 @@ class SmallestClearance:
         self.smallest: metrics.Clearance | None = None
         self.distance = np.inf
 
+    def hold(self, robot: Robot) -> None:
+        """Go on with the same arm, and other things in its hand."""
+        self._robot, self._maps = robot, None
+        self._radii = np.array([capsule.radius for capsule in robot.capsules])
+
     def of(self, postures: Array, scene: Scene, first_sample: int) -> Array:
         """Return the smallest distance (k,) at postures (k, n) [m].
 

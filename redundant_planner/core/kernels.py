@@ -40,6 +40,7 @@ Stack = npt.NDArray[np.float64]
 Stacks = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 IndexPairs = npt.NDArray[np.intp]
+Flags = npt.NDArray[np.bool_]  # of 2 dimensions
 # Arguments that the function fills.
 OutVector = npt.NDArray[np.float64]
 OutMatrix = npt.NDArray[np.float64]
@@ -48,8 +49,8 @@ OutStack = npt.NDArray[np.float64]
 _ARRAYS = {
     'Vector': (types.float64, 1), 'Matrix': (types.float64, 2), 'Stack': (types.float64, 3),
     'Stacks': (types.float64, 4), 'Indices': (types.intp, 1), 'IndexPairs': (types.intp, 2),
-    'OutVector': (types.float64, 1), 'OutMatrix': (types.float64, 2),
-    'OutStack': (types.float64, 3)}
+    'Flags': (types.boolean, 2), 'OutVector': (types.float64, 1),
+    'OutMatrix': (types.float64, 2), 'OutStack': (types.float64, 3)}
 _SCALARS = {'float': types.float64, 'int': types.intp, 'bool': types.boolean}
 
 _Function = TypeVar('_Function', bound=Callable[..., object])

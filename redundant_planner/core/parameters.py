@@ -217,6 +217,12 @@ class PlannerParameters:
         description="Constant-velocity prediction time for moving obstacles. Where an obstacle's "
                     'course leads into a link, the first two joints turn out of the way in time. '
                     '0 turns this off.')
+    allowed_contacts: tuple[str, ...] = parameter(
+        (), runtime=True,
+        description="Contacts that are meant, as 'link:obstacle': the names of a link and an "
+                    "obstacle, or the namespace of its marker; the link 'attached' is what the "
+                    'hand holds. Such a pair keeps no margin, and what touches does not get '
+                    'deeper. A contact that is not allowed ends as soon as the arm may move.')
     limits_position_margin: float = parameter(
         0.01, low=0.0, high=0.5, unit='rad, m', runtime=True,
         group='limits',
@@ -294,6 +300,11 @@ class PlannerParameters:
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""
         check(self)
+        for contact in self.allowed_contacts:
+            if not all(contact.partition(':')[::2]):
+                raise ParameterError(
+                    f"parameter 'allowed_contacts' has {shown(contact)}; it takes "
+                    "'link:obstacle', the names of a link and an obstacle")
         if self.singularity_damping_threshold > 0.0 and self.singularity_damping == 0.0:
             raise ParameterError(
                 "parameter 'singularity.damping' is 0 while 'singularity.damping_threshold' is "

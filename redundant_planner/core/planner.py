@@ -6,6 +6,7 @@ remembers; each of these is an object or a function of its own.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import math
 from typing import NamedTuple
 
@@ -18,8 +19,10 @@ from redundant_planner.core.horizon.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.kernels import compiled, OutVector, Vector
 from redundant_planner.core.obstacles.clearance import pseudo_distance
+from redundant_planner.core.obstacles.contacts import AllowedContacts, Contact, contacts
 from redundant_planner.core.obstacles.evasion import Evasion, NO_TURN, Turn
 from redundant_planner.core.obstacles.nearby import Surroundings
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
@@ -39,7 +42,7 @@ _ABSURD = 1e100
 # A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
 _STANDSTILL = 1e-12
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
-_MANY_DISTANCES = 7500
+_MANY_DISTANCES = 3000
 
 
 class _LastTick(NamedTuple):
@@ -98,16 +101,41 @@ class Planner:
                 f"parameter 'method' is '{parameters.method}'; a planner that began with one of "
                 f'{known(METHODS)} keeps to these')
         robot = self.robot
-        self._weights = joint_weights(robot, parameters)
-        self._limits = limits_of(robot, parameters)
-        self._parameters = parameters
-        self._constants, self._gains = robot_constants(robot, parameters), gains_of(parameters)
+        weights, limits = joint_weights(robot, parameters), limits_of(robot, parameters)
+        constants, gains = robot_constants(robot, parameters), gains_of(parameters)
+        watch = ObstacleWatch(robot, parameters, limits, constants, gains)
+        # Nothing has changed where one of these refused the parameters.
+        self._parameters, self._weights, self._limits = parameters, weights, limits
+        self._constants, self._gains = constants, gains
         self._links = self._never_measured()
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
         self._evasion = Evasion(robot, parameters)
-        self._watch = ObstacleWatch(
-            robot, parameters, self._limits, self._constants, self._gains)
+        self._watch = watch
+
+    def hold(self, things: Iterable[Obstacle]) -> None:
+        """Make what the hand holds a part of the arm, from the next tick on, and it alone.
+
+        It is kept from all but the links that move along with the tip.
+
+        Args:
+            things: their shapes at rest in the tip's frame; none to let go of all.
+
+        Raises:
+            ObstacleError: they cannot be held; the arm is as before then.
+        """
+        self.robot = self.robot.holding(things)
+        self.parameters = self._parameters
+
+    def contacts(self, q: Array, scene: Scene) -> tuple[Contact, ...]:
+        """Return which links touch which obstacles at a posture (n,), and whether they may.
+
+        Raises:
+            StateError: `q` does not have n finite entries.
+        """
+        return contacts(
+            self.robot, self.robot.kinematics(q), scene,
+            AllowedContacts(self._parameters.allowed_contacts, self.robot))
 
     def _never_measured(self) -> Memory:
         return Memory(np.full(self.robot.n, np.nan), np.empty(len(self._constants.self_pairs)))
@@ -218,8 +246,11 @@ class Planner:
                 and p.clearance_evasion_horizon > 0.0):
             self._evasion.reset()
             return NO_TURN
+        # A path is overdue every tenth tick at most; obstacles may have to be chosen in each.
+        waits = self._look_ahead.is_overdue(start.dt) or (
+            self._watch.chose and not self._evasion.has_waited)
         return self._evasion.turn(
-            start.arm, around.ahead, start.previous, self._last.leaving, start.dt)
+            start.arm, around.ahead, start.previous, self._last.leaving, waits, start.dt)
 
     def _switch(
         self, desired: Wish, around: Surroundings, commanded: bool, dt: float,

@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.kernels import entry, kernel, OutVector, Vector
-from redundant_planner.core.obstacles.clearance import link_pair, place
+from redundant_planner.core.obstacles.clearance import is_contact, link_pair, place
 from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
-from redundant_planner.core.obstacles.near_pairs import but_walls, near_pairs, NearPairs
+from redundant_planner.core.obstacles.near_pairs import kept_apart, near_pairs, NearPairs
 from redundant_planner.core.obstacles.self_collision import near_links, SelfPairs
 from redundant_planner.core.obstacles.shapes import ELLIPSOID, Place
 from redundant_planner.core.redundancy import criteria, null_space
@@ -208,6 +208,8 @@ def _blocked(
     if look_ahead == 0.0:
         return False
     for i in range(len(near.normalized_distance)):
+        if is_contact(obstacles, near.links[i], near.obstacles[i]):
+            continue
         rate = near.rate[i]
         for j in range(len(motion)):
             rate += near.gradient[i, j] * motion[j]
@@ -255,7 +257,7 @@ def wish(
 
     # k P∇H, Eqs. 2 and 18.
     level, clearance = criteria.clearance_index(
-        *but_walls(near, obstacles), gains.clearance_smoothing,
+        *kept_apart(near, obstacles), gains.clearance_smoothing,
         gains.clearance_influence_distance)
     factor, homogeneous = 1.0, np.zeros(len(scaling))
     if world.guided < 1.0:

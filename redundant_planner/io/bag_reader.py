@@ -25,7 +25,8 @@ _EXPECTED = {
     'joint_states': (JOINT_STATE,), 'joint_command': (JOINT_STATE,),
     'cmd_vel': ('geometry_msgs/msg/Twist', 'geometry_msgs/msg/TwistStamped'),
     'cmd_vel_preview': ('trajectory_msgs/msg/MultiDOFJointTrajectory',),
-    'obstacles': ('visualization_msgs/msg/MarkerArray',), 'robot_description': (_STRING,),
+    'obstacles': ('visualization_msgs/msg/MarkerArray',),
+    'attached': ('visualization_msgs/msg/MarkerArray',), 'robot_description': (_STRING,),
     'configuration': (_STRING,), 'ticks': ('std_msgs/msg/Float64MultiArray',),
     'diagnostics': ('diagnostic_msgs/msg/DiagnosticArray',)}
 # What `--end` is at most, without an end [s].

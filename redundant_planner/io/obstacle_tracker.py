@@ -91,6 +91,7 @@ class ObstacleTracker:
         self._known: _KnownListing | None = None
         self._changed = False
         self._next_change = np.inf
+        self._hidden: frozenset[str] = frozenset()
         self._static = checked(static)
         self.scene = self._static_scene = Scene.of(self._static)
 
@@ -109,6 +110,18 @@ class ObstacleTracker:
         self._static_scene = Scene.of(self._static)
         self._changed = True
         self._rebuild()
+
+    @property
+    def hidden(self) -> frozenset[str]:
+        """Names of obstacles from markers that are none for the time being."""
+        return self._hidden
+
+    @hidden.setter
+    def hidden(self, names: frozenset[str]) -> None:
+        if names != self._hidden:
+            self._hidden = names
+            self._changed = True
+            self._rebuild()
 
     def update(self, raw: bytes, now: float) -> list[str]:
         """Apply a serialised MarkerArray at time `now` [s].
@@ -320,14 +333,19 @@ class ObstacleTracker:
         if not self._changed:
             return
         self._changed = False
-        static, tracks = self._static_scene, self._tracks
-        names = static.names + self._names
+        static, tracks, shown = self._static_scene, self._tracks, self._names
+        if self._hidden:
+            keep = np.array([name not in self._hidden for name in shown], dtype=bool)
+            tracks, shown = motion_estimate.kept(tracks, keep), tuple(compress(shown, keep))
+        names = static.names + shown
         parts = [
             (static.shapes, static.centers, static.rotations, static.half_extents,
              static.velocities, static.angular_velocities),
             (tracks.shapes, tracks.centers, tracks.rotations, tracks.half_extents,
              tracks.velocities, tracks.angular_velocities)]
         for name, things in self._lists:
+            if name in self._hidden:
+                continue
             resting = np.zeros_like(things.centers)
             names += (name,) * len(things.shapes)
             parts.append((*things, resting, resting))

@@ -16,7 +16,9 @@ Array = npt.NDArray[np.float64]
 
 # A stamp in nanoseconds is more than a float holds: seconds and nanoseconds apart are not.
 _BILLION = 10**9
-_HEAD = 7 + 6
+_HEAD, _TWIST = 8, 6
+# Rows with a count of messages on `attached` add this to their kind; those of 0.1.0 have none.
+_WITH_ATTACHED = 10
 # Stamps count seconds in 32 bits, and every other number is smaller.
 _LARGEST = 2.0**32
 
@@ -38,6 +40,7 @@ class RecordedTick(NamedTuple):
         kind: what it did.
         obstacle_messages, preview_messages: how many had been taken in before the tick.
         preview_elapsed: where the latest preview began at this tick [s]; NaN if none holds.
+        attached_messages: how many on `attached` had been taken in before the tick.
         twist: (6,) in the command frame [m/s, rad/s].
         q: (n,) measured posture [rad, m].
     """
@@ -48,30 +51,40 @@ class RecordedTick(NamedTuple):
     obstacle_messages: int
     preview_messages: int
     preview_elapsed: float
+    attached_messages: int
     twist: Array
     q: Array
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
         return array.array('d', np.concatenate((
-            (*divmod(self.stamp_ns, _BILLION), self.time, self.kind, self.obstacle_messages,
-             self.preview_messages, self.preview_elapsed), self.twist, self.q)).tobytes())
+            (*divmod(self.stamp_ns, _BILLION), self.time, self.kind + _WITH_ATTACHED,
+             self.obstacle_messages,
+             self.preview_messages, self.preview_elapsed, self.attached_messages), self.twist,
+            self.q)).tobytes())
 
     @classmethod
-    def of(cls, numbers: Sequence[float]) -> RecordedTick:
-        """Return the tick that `numbers` gives.
+    def of(cls, numbers: Sequence[float], n: int) -> RecordedTick:
+        """Return the tick that `numbers` gives, of an arm with n joints.
 
         Raises:
-            StateError: there are too few numbers, the kind is none, or a number is impossible.
+            StateError: there are more or fewer numbers, the kind is none, or a number is
+                impossible.
         """
         row = np.array(numbers, dtype=float)
-        if row.ndim != 1 or len(row) <= _HEAD:
-            raise StateError(f'a recorded tick has {row.size} numbers; it takes more than {_HEAD}')
+        if row.ndim == 1 and len(row) >= _HEAD:
+            if row[3] >= _WITH_ATTACHED:
+                row[3] -= _WITH_ATTACHED
+            else:
+                row = np.insert(row, _HEAD - 1, 0.0)
+        if row.shape != (_HEAD + _TWIST + n,):
+            raise StateError(f'a recorded tick has {row.size} numbers; of a robot with {n} joints '
+                             f'it takes {_HEAD + _TWIST + n}')
         if row[3] not in list(TickKind):
             raise StateError(f'a recorded tick is of kind {row[3]:g}; it must be one of '
                              f'{[int(kind) for kind in TickKind]}')
         # Of all numbers, `preview_elapsed` alone may be NaN.
-        whole, rest = row[[0, 1, 4, 5]], np.delete(row, 6)
+        whole, rest = row[[0, 1, 4, 5, 7]], np.delete(row, 6)
         if not (np.abs(rest) <= _LARGEST).all() or np.isinf(row[6]):
             raise StateError('a recorded tick has numbers that are not finite, or beyond '
                              f'{_LARGEST:g}')
@@ -79,4 +92,5 @@ class RecordedTick(NamedTuple):
             raise StateError(f'a recorded tick has stamp and counts {whole.tolist()}; they must '
                              'be whole numbers, 0 or more')
         return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
-                   int(row[4]), int(row[5]), float(row[6]), row[7:_HEAD], row[_HEAD:])
+                   int(row[4]), int(row[5]), float(row[6]), int(row[7]),
+                   row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:])

@@ -20,6 +20,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.cloud_layout import cloud_layout, CloudLayout, points_of
 from redundant_planner.io.marker_writer import cube_list_bytes
 from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.payload import Payload
 from redundant_planner.io.perception_parameters import CloudParameters
 from redundant_planner.io.robot_files import with_more_capsules
 from redundant_planner.nodes import runtime
@@ -89,6 +90,7 @@ class CloudObstacles(EndableNode):
     def _start(self, robot: Robot, parameters: RobotParameters) -> None:
         """Begin to see for a robot that was built with these parameters."""
         own = with_more_capsules(robot, parameters, self._self_capsules)
+        self._own, self._payload = own, Payload(own)
         self._filter = CloudFilter(own, self._settings)
         self._base = robot.base_frame
         self._transform = transform_lookup(self, robot.base_frame)
@@ -99,6 +101,7 @@ class CloudObstacles(EndableNode):
         self._heard_at = time.monotonic()
         newest = QoSProfile(depth=1, reliability=qos_profile_sensor_data.reliability)
         self.create_subscription(PointCloud2, 'points', self._on_cloud, newest, raw=True)
+        self.create_subscription(MarkerArray, 'attached', self._on_attached, 10, raw=True)
         self.create_service(Trigger, '~/clear', self._on_clear)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_UP, self._work, clock=steady)
@@ -122,6 +125,21 @@ class CloudObstacles(EndableNode):
         self._filter.memory.clear()
         response.success, response.message = True, f'forgot {count} voxels'
         return response
+
+    def _on_attached(self, raw: bytes) -> None:
+        """Take what the hand holds out of the clouds to come, as the arm itself."""
+        for problem in self._payload.tracker.update(raw, time.monotonic()):
+            self._warn(f'attached {problem}; ignored')
+        self._hold()
+
+    def _hold(self) -> None:
+        self._payload.tracker.expire(time.monotonic())
+        things = self._payload.changed()
+        if things is not None:
+            try:
+                self._filter.hold(self._own.holding(things))
+            except ObstacleError as error:
+                self._warn(f'what the arm holds stays as it was: {error}')
 
     def _on_cloud(self, raw: bytes) -> None:
         """Keep a cloud until the posture of its stamp is known; refuse one that is damaged."""
@@ -164,6 +182,7 @@ class CloudObstacles(EndableNode):
                 self._warn(f'points ignored: {error}')
             # First, so that a cloud that fails is not tried again.
             self._waiting, self._next = self._next, None
+            self._hold()
             if pose is not None:
                 self._see(cloud, pose, posture, stamp)
 

@@ -9,13 +9,14 @@ import time
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.errors import StateError
+from redundant_planner.core.errors import ObstacleError, StateError
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import se3
 from redundant_planner.core.safety.limits import braked
 from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.io.node_parameters import PlannerNodeParameters
+from redundant_planner.io.payload import Payload
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.command_output import CommandOutput
@@ -46,7 +47,7 @@ class ControlLoop:
 
     Attributes:
         planner, supervisor: the mathematics, and the arm's permission to move.
-        command, obstacles, output: the inputs and the output.
+        command, obstacles, attached, output: the inputs and the output.
         inboxes: subscriptions that each tick fetches, and who takes their messages.
         settings: of the loop; assigning new ones changes its timeouts.
         state: for reports.
@@ -57,8 +58,8 @@ class ControlLoop:
 
     def __init__(
         self, planner: Planner | PaperPlanner, settings: PlannerNodeParameters, *,
-        clock: LoopClock, command: CommandInput, obstacles: ObstacleInput, output: CommandOutput,
-        last_word: LastWord, guard: Guard, warn: Callable[[str], None],
+        clock: LoopClock, command: CommandInput, obstacles: ObstacleInput, attached: Payload,
+        output: CommandOutput, last_word: LastWord, guard: Guard, warn: Callable[[str], None],
         publish_tick: Callable[[array.array[float]], None] | None,
     ) -> None:
         """Prepare, with the arm at rest.
@@ -68,6 +69,7 @@ class ControlLoop:
             settings: of the loop.
             clock: that it runs by.
             command, obstacles: the inputs.
+            attached: what the hand holds.
             output: takes each command.
             last_word: stops the arm should this process die.
             guard: counts exceptions.
@@ -78,6 +80,9 @@ class ControlLoop:
         self.planner = planner
         self.supervisor = Supervisor(robot.velocity_max, _JUMP)
         self.command, self.obstacles, self.output = command, obstacles, output
+        self.attached = ObstacleInput(
+            'attached', attached.tracker, 1.0 / settings.rate, guard, warn)
+        self._payload = attached
         self.inboxes: list[tuple[PolledSubscription, Callable[[bytes], None]]] = []
         self.settings = settings
         self.state = LoopState()
@@ -99,6 +104,11 @@ class ControlLoop:
     def at_rest(self) -> bool:
         """Whether the arm rests and the node is silent."""
         return self._last_command is None
+
+    @property
+    def held(self) -> frozenset[str]:
+        """Names of what the hand holds."""
+        return self.obstacles.tracker.hidden
 
     def on_joint_states(self, raw: bytes) -> None:
         """Take a serialised JointState."""
@@ -183,7 +193,7 @@ class ControlLoop:
 
     def _recover(self) -> None:
         """Forget all about the motion: any part of it may have led to the failure."""
-        self.planner = planner_of(self._robot, self.planner.parameters)
+        self.planner = planner_of(self.planner.robot, self.planner.parameters)
         self._position_command.reset()
         self.command.forget()
         self.command.forget_preview()
@@ -218,6 +228,8 @@ class ControlLoop:
         if not np.isfinite(result.dq).all():
             raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
         self._send(result.dq, kind, twist, ahead)
+        if kind is TickKind.STARTING:
+            self._say_what_touches(posture)
         before = self.state.result
         if result.reason and not (before is not None and before.reason):
             self._warn(result.reason)
@@ -252,11 +264,34 @@ class ControlLoop:
             elapsed = self.command.preview_elapsed() if ahead is not None else np.nan
             self._publish_tick(RecordedTick(
                 stamp_ns, self.now, kind, self.obstacles.read_count, self.command.previews,
-                elapsed, twist, posture).numbers())
+                elapsed, self.attached.read_count, twist, posture).numbers())
 
     def _read_obstacles(self) -> bool:
-        """Read obstacle messages that wait; return whether there were any."""
+        """Read messages on obstacles and attached that wait; return whether there were any."""
+        holds = self.attached.read(self.now)
+        self._payload.tracker.expire(self.now)
+        self._hold()
         if not self.obstacles.read(self.now):
-            return False
+            return holds
         self.planner.prepare(self.obstacles.scene)
         return True
+
+    def _hold(self) -> None:
+        """Make what is attached by now a part of the arm, and no obstacle."""
+        things = self._payload.changed()
+        if things is None:
+            return
+        try:
+            self.planner.hold(things)
+        except ObstacleError as error:
+            self._warn(f'what it holds stays as it was: {error}')
+            return
+        self.obstacles.tracker.hidden = self._payload.names
+        if self.supervisor.posture is not None:
+            self._say_what_touches(self.supervisor.posture)
+
+    def _say_what_touches(self, posture: Array) -> None:
+        """Name links and obstacles that touch, which holds the arm back or is meant."""
+        if isinstance(self.planner, Planner):
+            for contact in self.planner.contacts(posture, self.obstacles.scene):
+                self._warn(str(contact))

@@ -1,4 +1,4 @@
-"""Messages on `obstacles`: they wait until a tick's command is out, and become one scene."""
+"""Messages on `obstacles` and `attached`: they wait until a tick's command is out."""
 
 from __future__ import annotations
 
@@ -28,18 +28,21 @@ class ObstacleInput:
     """
 
     def __init__(
-        self, tracker: ObstacleTracker, period: float, guard: Guard,
+        self, topic: str, tracker: ObstacleTracker, period: float, guard: Guard,
         warn: Callable[[str], None],
     ) -> None:
         """Begin with an empty queue.
 
         Args:
+            topic: for what is said of its messages.
             tracker: takes the messages.
             period: of the loop [s].
             guard: counts exceptions.
             warn: takes a sentence about a message.
         """
         self.tracker = tracker
+        self._topic = topic
+        self._prefix = '' if topic == 'obstacles' else f'{topic} '
         self.read_count = 0
         self.read_at = -np.inf
         self._budget = _SHARE * period
@@ -57,8 +60,8 @@ class ObstacleInput:
         if len(self._waiting) == _MOST_WAITING:
             self._waiting.popleft()
             self.read_count += 1
-            self._warn('obstacles come faster than the planner reads them: it dropped the oldest '
-                       f'of {_MOST_WAITING} messages')
+            self._warn(f'{self._topic} come faster than the planner reads them: it dropped the '
+                       f'oldest of {_MOST_WAITING} messages')
         self._waiting.append(raw)
 
     def read(self, now: float) -> bool:
@@ -75,9 +78,9 @@ class ObstacleInput:
             self.read_count += 1
             try:
                 for problem in self.tracker.update(self._waiting.popleft(), now):
-                    self._warn(f'{problem}; ignored')
+                    self._warn(f'{self._prefix}{problem}; ignored')
             except Exception as error:
-                self._guard.caught("a message on 'obstacles'", error)
+                self._guard.caught(f"a message on '{self._topic}'", error)
             if time.perf_counter() > enough:
                 break
         return True

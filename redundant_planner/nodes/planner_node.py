@@ -22,6 +22,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.payload import Payload
 from redundant_planner.nodes import runtime
 from redundant_planner.nodes.chores import Chores
 from redundant_planner.nodes.command_input import CommandInput
@@ -125,7 +126,8 @@ class PlannerNode(EndableNode):
                  if settings.publish_ticks else None)
         return ControlLoop(
             planner, settings, clock=clock, command=command,
-            obstacles=ObstacleInput(tracker, period, self.guard, self._warn),
+            obstacles=ObstacleInput('obstacles', tracker, period, self.guard, self._warn),
+            attached=Payload(robot),
             output=CommandOutput(self, robot.joint_names, settings.outputs, period),
             last_word=self._last_word, guard=self.guard, warn=self._warn, publish_tick=None
             if ticks is None else lambda row: ticks.publish(Float64MultiArray(data=row)))
@@ -142,6 +144,8 @@ class PlannerNode(EndableNode):
             MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)
         self.create_subscription(
             MarkerArray, 'obstacles', loop.obstacles.on_message, 10, raw=True)
+        self.create_subscription(
+            MarkerArray, 'attached', loop.attached.on_message, 10, raw=True)
         assert self._startup is not None
         self._startup.listen_for_commands(
             lambda raw: loop.supervisor.heard_a_command(loop.clock.now()))

@@ -32,7 +32,9 @@ class Reports:
         self._node, self._loop, self._settings = node, loop, settings
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._markers = node.create_publisher(MarkerArray, '~/markers', 1)
-        self._robot_markers = RobotMarkers(loop.planner.robot)
+        # Without what it will hold: the configuration says what it was built of.
+        self._robot = loop.planner.robot
+        self._robot_markers = RobotMarkers(self._robot)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._configuration = node.create_publisher(String, '~/configuration', latched)
         self._published: Settings | None = None
@@ -43,7 +45,7 @@ class Reports:
         if settings is not self._published:
             self._published = settings
             self._configuration.publish(
-                String(data=settings.file_text(self._loop.planner.robot)))
+                String(data=settings.file_text(self._robot)))
 
     def publish_diagnostics(self) -> None:
         """Publish the state of the loop."""
@@ -56,7 +58,7 @@ class Reports:
         status = status_of(
             self._node.get_fully_qualified_name(), loop.planner.robot, state,
             loop.supervisor.posture, loop.planner.parameters.method,
-            len(loop.obstacles.scene.names))
+            len(loop.obstacles.scene.names), loop.held)
         self._diagnostics.publish(diagnostics(status, self._node.get_clock().now().to_msg()))
         state.tick_times.clear()
 
@@ -67,6 +69,6 @@ class Reports:
             return
         result, reference = self._loop.state.result, planner.reference
         self._markers.publish(self._robot_markers.message(
-            planner.robot.kinematics(posture), self._loop.obstacles.scene,
+            planner.robot, planner.robot.kinematics(posture), self._loop.obstacles.scene,
             result.nearest if result is not None else None,
             reference.position if reference is not None else None))

@@ -35,8 +35,17 @@ class RobotMarkers:
 
     def __init__(self, robot: Robot) -> None:
         """Prepare for a robot."""
-        self._robot = robot
+        self._frame = robot.base_frame
         self._path: deque[Point] = deque(maxlen=_PATH)
+        self._line = self._marker('nearest', 0, Marker.LINE_LIST, _RED)
+        self._line.scale.x = 0.005
+        self._track = self._marker('reference', 0, Marker.LINE_STRIP, _GREEN)
+        self._track.scale.x = 0.005
+        self._prepare(robot)
+
+    def _prepare(self, robot: Robot) -> None:
+        """Make the markers of an arm's capsules."""
+        self._robot = robot
         self._shafts = [self._marker('link', 2 * i, Marker.CYLINDER, _BLUE)
                         for i in range(len(robot.capsules))]
         self._caps = [self._marker('link', 2 * i + 1, Marker.SPHERE_LIST, _BLUE)
@@ -46,22 +55,22 @@ class RobotMarkers:
             shaft.scale.x = shaft.scale.y = diameter
             shaft.scale.z = max(float(np.linalg.norm(capsule.end - capsule.start)), 1e-6)
             cap.scale.x = cap.scale.y = cap.scale.z = diameter
-        self._line = self._marker('nearest', 0, Marker.LINE_LIST, _RED)
-        self._line.scale.x = 0.005
-        self._track = self._marker('reference', 0, Marker.LINE_STRIP, _GREEN)
-        self._track.scale.x = 0.005
 
     def message(
-        self, arm: Kinematics, scene: Scene, nearest: Nearest | None, reference: Array | None,
+        self, robot: Robot, arm: Kinematics, scene: Scene, nearest: Nearest | None,
+        reference: Array | None,
     ) -> MarkerArray:
         """Return the picture at one posture.
 
         Args:
+            robot: the arm, with what it holds.
             arm: the posture.
             scene: the obstacles.
             nearest: the nearest pair, None without obstacles.
             reference: (3,) where the tip should be, None while it need not be anywhere [m].
         """
+        if robot is not self._robot:
+            self._prepare(robot)
         for start, end, shaft, cap in zip(
                 arm.segment_start, arm.segment_end, self._shafts, self._caps):
             _place(shaft, 0.5 * (start + end),
@@ -90,7 +99,7 @@ class RobotMarkers:
             if np.isfinite(away[i]):
                 marker = marker_of(scene.obstacle(i), _RED)
                 marker.ns, marker.id = 'obstacle', i
-                marker.header.frame_id = self._robot.base_frame
+                marker.header.frame_id = self._frame
                 markers.append(marker)
         return markers
 
@@ -98,7 +107,7 @@ class RobotMarkers:
         self, namespace: str, number: int, kind: int, color: Sequence[float],
     ) -> Marker:
         marker = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD)
-        marker.header.frame_id = self._robot.base_frame
+        marker.header.frame_id = self._frame
         marker.pose.orientation.w = 1.0
         marker.color.r, marker.color.g, marker.color.b, marker.color.a = color
         return marker

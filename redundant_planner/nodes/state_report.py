@@ -51,6 +51,7 @@ class LoopState:
 
 def status_of(
     name: str, robot: Robot, state: LoopState, q: Array | None, method: str, obstacles: int,
+    attached: Collection[str],
 ) -> DiagnosticStatus:
     """Return one entry of /diagnostics.
 
@@ -61,6 +62,7 @@ def status_of(
         q: (n,) latest measurement, None without one.
         method: in use.
         obstacles: their number.
+        attached: names of what the hand holds.
     """
     status = DiagnosticStatus(name=f'{name}: planner', hardware_id=robot.name)
     result = state.result
@@ -76,6 +78,7 @@ def status_of(
         'method': method,
         'limited by': reason,
         'obstacles': str(obstacles),
+        'attached': ', '.join(sorted(attached)),
         'tick time, median [us]': _number(1e6, np.median, state.tick_times),
         'tick time, longest [us]': _number(1e6, np.max, state.tick_times),
         'overruns': str(state.overruns),

@@ -8,6 +8,7 @@ its exact gradient.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import math
 
 import numpy as np
@@ -18,6 +19,7 @@ from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.obstacles.clearance import link_clearance, pseudo_distance
 from redundant_planner.core.obstacles.clearance_gradients import clearance_gradients
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PAPER_METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -70,6 +72,10 @@ class PaperPlanner:
     def reset(self) -> None:
         """Forget the reference pose: the arm stands where it is found."""
         self.reference = None
+
+    def hold(self, things: Iterable[Obstacle]) -> None:
+        """Have `Nearest` tell of what the hand holds, too; Eq. 7 minds the joints alone."""
+        self.robot = self.robot.holding(things)
 
     def prepare(self, scene: Scene) -> None:
         """Do nothing: a new scene costs nothing ahead."""

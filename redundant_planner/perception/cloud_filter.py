@@ -65,11 +65,15 @@ class CloudFilter:
         self.memory = VoxelMemory()
         self.left_out = 0
         self.times: dict[str, float] = {}
-        self._robot = robot
-        self._center, self._reach = reach_of(robot)
+        self.hold(robot)
         self._rays = no_rays()
         # For the points that are left; fresh memory for each cloud costs milliseconds.
         self._room = np.empty((3, 0))
+
+    def hold(self, robot: Robot) -> None:
+        """Go on with the same arm, and other things in its hand."""
+        self._robot = robot
+        self._center, self._reach = reach_of(robot)
 
     def see(self, points: Array, pose: SensorPose, posture: Posture, stamp: float) -> Array:
         """Take in a cloud.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 import ctypes
 from functools import partial
+import json
 import os
 from pathlib import Path
 import signal
@@ -109,7 +110,9 @@ def ros_arguments(
 
 def _yaml(value: object) -> str:
     if isinstance(value, (list, tuple)):
-        return '[' + ', '.join(_yaml(item) for item in value) + ']'
+        # Quoted, as a name within a list may have a colon.
+        return '[' + ', '.join(
+            json.dumps(item) if isinstance(item, str) else _yaml(item) for item in value) + ']'
     if isinstance(value, bool):
         return str(value).lower()
     return str(value)

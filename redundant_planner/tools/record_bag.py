@@ -26,7 +26,7 @@ from redundant_planner.io.printable import printable
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
 
 # Relative names, so that a namespace holds; ~ stands for the planner's name.
-TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'cmd_vel_preview', 'obstacles',
+TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'cmd_vel_preview', 'obstacles', 'attached',
           'robot_description', '~/configuration', '~/ticks', '~/markers', '/diagnostics')
 _DEPTH = 5000
 # How often the recorder looks for topics that have appeared, and hands the system what it has [s].

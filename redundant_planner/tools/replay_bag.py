@@ -16,20 +16,22 @@ from rich.progress import track
 import yaml
 
 from redundant_planner.analysis.replay_inputs import Inputs, rate_of, read_inputs, ticks_of_topics
-from redundant_planner.core.errors import ParameterError, PlannerError
+from redundant_planner.core.errors import ObstacleError, ParameterError, PlannerError
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters, ros_name
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety.limits import braked
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import read_parameter_file, settings_of
+from redundant_planner.io.payload import Payload
 from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import recorded_obstacles, recorded_walls
 from redundant_planner.io.recorded_inputs import as_it_is
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
-from redundant_planner.paper.method import planner_of
+from redundant_planner.paper.method import PaperPlanner, planner_of
 
 Array = npt.NDArray[np.float64]
 
@@ -97,12 +99,13 @@ def _rows(
         [*recorded_obstacles(values, inputs.notes), *recorded_walls(values, inputs.notes)], (),
         transform=as_it_is,
         estimate_velocity=values.get('estimate_obstacle_velocity') is True)
+    payload = Payload(robot)
     dt = 1.0 / rate_of(values)
     q: Array = ticks[0][1].q
     dq: Array = np.zeros(robot.n)
     # Ticks that are made up start again after every pause, where the arm was then.
     made_up = not inputs.ticks
-    applied = 0
+    applied = held = 0
     count = len(ticks)
     positions, velocities = np.empty((count, robot.n)), np.empty((count, robot.n))
     previous = ticks[0][1].time
@@ -115,6 +118,11 @@ def _rows(
         for _, raw in inputs.obstacles[applied:tick.obstacle_messages]:
             book.update(raw, previous)
         applied = max(applied, tick.obstacle_messages)
+        for _, raw in inputs.attached[held:tick.attached_messages]:
+            payload.tracker.update(raw, previous)
+        held = max(held, tick.attached_messages)
+        payload.tracker.expire(previous)
+        _hold(payload, planner, book)
         if tick.kind == TickKind.BRAKING and measured:
             dq = braked(dq, robot.acceleration_max, dt)
         else:
@@ -127,6 +135,18 @@ def _rows(
         q, previous = q + dt * dq, tick.time
     return Replay(np.array([time for time, _ in ticks]), positions, velocities,
                   np.array([tick.twist for _, tick in ticks]).reshape(-1, 6))
+
+
+def _hold(payload: Payload, planner: Planner | PaperPlanner, book: ObstacleTracker) -> None:
+    """Do what the control loop does with what is attached."""
+    things = payload.changed()
+    if things is None:
+        return
+    try:
+        planner.hold(things)
+    except ObstacleError:
+        return
+    book.hidden = payload.names
 
 
 def _ahead(inputs: Inputs, tick: RecordedTick) -> TwistAhead | None:

@@ -116,6 +116,8 @@ CASES = [
     Case('clearance_gain', 0.5, 5.0, towards_a_ball, way_of_the_tip, '+', NO_CLEARANCE),
     Case('clearance_lead', 0.0, 0.1, across_the_first_link, smallest_distance, '+'),
     Case('clearance_evasion_horizon', 0.0, 2.0, into_the_first_link, smallest_distance, '+'),
+    Case('allowed_contacts', (), tuple(f'{link}:ball0' for link in ('link3', 'link4', 'link5')),
+         towards_a_ball, smallest_distance, '-'),
     Case('limits_position_margin', 0.01, 0.05, into_a_rail_end, room_to_limits, '+'),
     Case('limits_linear_speed', 0.05, 1.0, fast, way_of_the_tip, '+'),
     Case('limits_angular_speed', 0.1, 2.0, fast, turn_of_the_tip, '+'),

@@ -158,7 +158,7 @@ def test_states_that_the_node_skips_are_skipped(tmp_path):
 def test_ticks_that_are_none_are_left_out(tmp_path):
     robot, parameters, motion = paper_motion(0.2)
     sound = [RecordedTick(i, motion.times[i], TickKind.GOING_ON if i else TickKind.STARTING, 0, 0,
-                          np.nan, np.zeros(6), motion.positions[i]).numbers() for i in range(9)]
+                          np.nan, 0, np.zeros(6), motion.positions[i]).numbers() for i in range(9)]
     sound[3] = sound[3][:-1]  # of another robot
     sound[5][2] = np.nan
     sound[6][4] = 1e300
@@ -170,10 +170,11 @@ def test_ticks_that_are_none_are_left_out(tmp_path):
     assert np.isfinite(again(inputs, parameters).velocities).all()
 
 
-@given(numbers=st.lists(st.floats() | st.sampled_from([0.0, 1.0, 2.0]), max_size=20))
+@given(numbers=st.lists(st.floats() | st.sampled_from([0.0, 1.0, 2.0]), max_size=20)
+       | st.lists(st.sampled_from([0.0, 1.0, 2.0, 10.0, np.nan]), min_size=16, max_size=17))
 def test_whatever_numbers_a_tick_has_it_is_sound_or_refused(numbers):
     try:
-        tick = RecordedTick.of(numbers)
+        tick = RecordedTick.of(numbers, 3)
     except StateError as error:
         assert 'recorded tick' in str(error)
     else:
@@ -183,13 +184,21 @@ def test_whatever_numbers_a_tick_has_it_is_sound_or_refused(numbers):
 
 def test_a_recorded_tick_survives_the_way_there_and_back_and_nonsense_is_refused():
     tick = RecordedTick(1_795_276_822_763_012_348, 12.5, TickKind.STARTING, 3, 1, np.nan,
-                        np.arange(6.0), np.arange(7.0))
+                        5, np.arange(6.0), np.arange(7.0))
     numbers = tick.numbers()
-    again_ = RecordedTick.of(numbers)
+    again_ = RecordedTick.of(numbers, 7)
     assert again_[:5] == tick[:5] and np.isnan(again_.preview_elapsed)
+    assert again_.attached_messages == 5
+    np.testing.assert_array_equal(again_.twist, tick.twist)
     np.testing.assert_array_equal(again_.q, tick.q)
-    with pytest.raises(StateError, match='has 5 numbers'):
-        RecordedTick.of(numbers[:5])
-    numbers[3] = 9.0
+    # As 0.1.0 wrote it, without the count of messages on `attached`.
+    earlier = [*numbers[:3], float(tick.kind), *numbers[4:7], *numbers[8:]]
+    old = RecordedTick.of(earlier, 7)
+    assert old.attached_messages == 0 and old.kind is TickKind.STARTING
+    np.testing.assert_array_equal(old.q, tick.q)
+    for bad in (numbers[:5], numbers[:-1], earlier[:-1]):
+        with pytest.raises(StateError, match=f'has {len(bad)}|robot with 7 joints'):
+            RecordedTick.of(bad, 7)
+    numbers[3] = 19.0
     with pytest.raises(StateError, match='of kind 9'):
-        RecordedTick.of(numbers)
+        RecordedTick.of(numbers, 7)

@@ -65,7 +65,8 @@ class LookAhead:
         self.guided = 1.0 if self._always else 0.0
         self._horizon: Horizon | None = None
         self._velocity: Array | None = None
-        self._age = 0.0  # of the path [s]
+        self._has_planned = False
+        self._age = 0.0  # of the path, or of the attempt to find one [s]
         self._command: Array = np.zeros(6)
         self._growth = 0.0
 
@@ -73,6 +74,11 @@ class LookAhead:
     def cut_short(self) -> bool:
         """Whether the path's last problem took more iterations than it may."""
         return self._horizon is not None and self._horizon.cut_short
+
+    def is_overdue(self, dt: float) -> bool:
+        """Return whether the next tick has to improve the path, however busy it is."""
+        return self.guided > 0.0 and (
+            not self._has_planned or self._age + dt >= _OLDEST_PATH)
 
     def velocity(
         self, start: Start, obstacles: InflatedObstacles, ahead: Preview | TwistAhead | None,
@@ -91,10 +97,10 @@ class LookAhead:
         if self._robot.n <= self._robot.m:
             return np.zeros(self._robot.n)
         self._age += start.dt
-        if self._velocity is not None and (
+        if self._has_planned and (
                 self._age < _PLANNING_PERIOD or (busy and self._age < _OLDEST_PATH)):
             return self._velocity
-        elapsed, self._age = self._age, 0.0
+        elapsed, self._age, self._has_planned = self._age, 0.0, True
         growth = self._growth_of(start.command, elapsed)
         horizon = self._horizons[ahead is None]
         if horizon is not self._horizon:

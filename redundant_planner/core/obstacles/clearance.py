@@ -95,6 +95,13 @@ def core_of(obstacles: InflatedObstacles, obstacle: int) -> Place:
 
 
 @kernel
+def is_contact(obstacles: InflatedObstacles, link: int, obstacle: int) -> bool:
+    """Return whether a pair may touch, and is not a link and a wall."""
+    return (obstacles.may_touch[link, obstacle]
+            and obstacles.shapes[obstacle] != HALF_SPACE)
+
+
+@kernel
 def place(points: Matrix, i: int) -> Place:
     """Return a point (k, 3) as numbers."""
     return Place(points[i, 0], points[i, 1], points[i, 2])
@@ -234,7 +241,7 @@ def measure(
             rho, t = _other_shape(
                 obstacles, link, obstacle, time, here, there, max(enough, least))
             distance = rho * smallest[link, obstacle]
-            if obstacles.shapes[obstacle] != HALF_SPACE:
+            if not obstacles.may_touch[link, obstacle]:
                 least = min(least, distance)
             pairs.normalized_distance[link, obstacle] = rho
             pairs.distance[link, obstacle] = distance

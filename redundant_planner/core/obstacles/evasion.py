@@ -25,6 +25,7 @@ from redundant_planner.core.obstacles.clearance import (
     core_of,
     from_center,
     in_unit_ball,
+    is_contact,
     link_pair,
     place,
 )
@@ -51,7 +52,7 @@ _TURN_DURATIONS = (
 # How many turns a tick tries; all of them take 8 ticks. How many distances of links from obstacles
 # it looks at for that, which bounds its time among many obstacles that move.
 _MOST_TURNS = 24
-_MOST_DISTANCES = 15_000
+_MOST_DISTANCES = 6000
 # What a link counts that more joints move than turn: the other joints may still save it.
 _WEIGHT_OF_OTHER_LINKS = 0.2
 # Shares of a joint's limits that a turn uses: the rest of the arm moves, too.
@@ -93,6 +94,7 @@ class Evasion:
 
     Attributes:
         spent: how many distances of links from obstacles the last tick looked at.
+        has_waited: whether the last tick looked for no turn.
     """
 
     def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
@@ -119,12 +121,15 @@ class Evasion:
     def reset(self) -> None:
         """Forget the turn that is being made."""
         self._target: Array | None = None
+        # What the turn that is being made falls short, and whether that is to be looked at again.
+        self._shortage, self._is_due = np.inf, True
         self._next = 0
         self.spent = 0
+        self.has_waited = False
 
     def turn(
         self, arm: Kinematics, obstacles: InflatedObstacles, previous: Array, leaving: bool,
-        dt: float,
+        waits: bool, dt: float,
     ) -> Turn:
         """Return what the first joints shall do.
 
@@ -134,6 +139,8 @@ class Evasion:
                 that move make in `clearance.lead`.
             previous: (n,) velocity of the last tick [rad/s, m/s].
             leaving: whether the arm is leaving its path already.
+            waits: whether the tick has other work to do that takes long. It then looks for no
+                turn, and goes on with the one that is being made.
             dt: [s].
         """
         links, turning = self._robot.links(arm), self._target is not None
@@ -153,18 +160,25 @@ class Evasion:
             return choice
 
         self.spent = 0
-        shortage = np.inf
-        if self._target is not None:
-            shortage = best(self._target[None] - q, np.inf, 1).shortage
-        if shortage > CLEAR_DISTANCE ** 2:
+        tries = True
+        self.has_waited = waits
+        if waits:
+            tries = False
+        elif self._target is not None and self._is_due:
+            self._shortage = best(self._target[None] - q, np.inf, 1).shortage
+            # Where there is no time for both, the next tick tries others.
+            tries = self._is_due = 2 * self.spent <= _MOST_DISTANCES
+        else:
+            self._is_due = True
+        if tries and self._shortage > CLEAR_DISTANCE ** 2:
             until = min(self._next - self._next % _MOST_TURNS + _MOST_TURNS, len(self._turns))
             turns = np.minimum(np.maximum(
                 self._turns[self._next:until], self._position_min - q), self._position_max - q)
             choice = best(
-                turns, _SHORTAGE_SHARE_TO_SWITCH * shortage, _MOST_DISTANCES - self.spent)
+                turns, _SHORTAGE_SHARE_TO_SWITCH * self._shortage, _MOST_DISTANCES - self.spent)
             self._next = (self._next + choice.tried) % len(self._turns)
             if choice.turn >= 0:
-                self._target = q + turns[choice.turn]
+                self._target, self._shortage = q + turns[choice.turn], choice.shortage
         if self._target is None:  # obstacles too large for numbers
             return NO_TURN
         return Turn(next_velocities(self._target - q, velocities, self._joints, dt), *threat)
@@ -270,6 +284,8 @@ def _threat(
             continue
         none = kept + lead * speed
         for link in joints.links:
+            if is_contact(obstacles, link, obstacle):
+                continue
             start, end = place(arm.start, link), place(arm.end, link)
             if obstacles.shapes[obstacle] == ELLIPSOID:
                 distance = _course_of_ellipsoid(

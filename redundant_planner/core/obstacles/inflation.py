@@ -4,6 +4,8 @@ A link is every point within its radius r of a segment. It is as far from an obs
 segment is from obstacle ⊕ ball of radius r. Of an ellipsoid that sum is taken for its
 trace-minimal outer ellipsoid, which has the obstacle's axes and the semi-axes
 √((1+β) a² + (1+1/β) r²), β = √(3 r² / tr A²). Of other shapes it is what lies within r of them.
+
+The radius contains the margin that a link keeps from obstacles, except where the two may touch.
 """
 
 from __future__ import annotations
@@ -14,9 +16,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
+from redundant_planner.core.kernels import (
+    compiled,
+    entry,
+    Flags,
+    Indices,
+    kernel,
+    Matrix,
+    Stack,
+    Vector,
+)
 from redundant_planner.core.obstacles.scene import Scene, surface_speeds
-from redundant_planner.core.obstacles.shapes import CAPSULE, ELLIPSOID
+from redundant_planner.core.obstacles.shapes import CAPSULE, ELLIPSOID, HALF_SPACE
 
 Array = npt.NDArray[np.float64]
 
@@ -73,6 +84,9 @@ class InflatedObstacles(NamedTuple):
         inflation: (c, k) how far the surface is from the core [m]; nothing for ellipsoids.
         inverse: (c, k, 3) 1 / inflated semi-axes a [1/m]; nothing for other shapes.
         smallest: (c, k) smallest inflated half extent [m].
+        may_touch: (c, k) pairs that are found closer than they should be without anything being
+            wrong: they may stay so, and only not get closer. The walls of a workspace, and
+            contacts that are allowed.
         twists: (k, 6) velocities of the centres, and angular velocities, base frame [m/s, rad/s].
         speeds: (k,) the fastest that any point of an obstacle moves [m/s].
     """
@@ -84,12 +98,14 @@ class InflatedObstacles(NamedTuple):
     inflation: Matrix
     inverse: Stack
     smallest: Matrix
+    may_touch: Flags
     twists: Matrix
     speeds: Vector
 
 
 def inflated_obstacles(
-    scene: Scene, radii: npt.ArrayLike, lead: float = 0.0, chosen: Indices | None = None,
+    scene: Scene, radii: npt.ArrayLike, lead: float = 0.0, chosen: Indices | None = None, *,
+    contacts: Flags | None = None, margin: float = 0.0,
 ) -> InflatedObstacles:
     """Inflate a scene's obstacles by the radii of links.
 
@@ -98,22 +114,26 @@ def inflated_obstacles(
         radii: (c,) of the links [m].
         lead: obstacles that move are larger all round by their way within this time [s].
         chosen: (k,) indices of the obstacles to take; all if None.
+        contacts: (c, all obstacles) which pairs may touch; none if None.
+        margin: the part of the radii that these do not keep, nor the lead [m].
     """
     every = np.arange(len(scene.names)) if chosen is None else chosen
     return _inflated_obstacles(
         scene.shapes[every], scene.centers[every], scene.rotations[every],
         scene.half_extents[every], scene.velocities[every], scene.angular_velocities[every],
-        np.array(radii, dtype=float), lead)
+        np.array(radii, dtype=float), lead,
+        np.zeros((0, 0), bool) if contacts is None else contacts[:, every], margin)
 
 
 @entry
 def _inflated_obstacles(
     shapes: Indices, centers: Matrix, rotations: Stack, half_extents: Matrix, velocities: Matrix,
-    angular_velocities: Matrix, radii: Vector, lead: float,
+    angular_velocities: Matrix, radii: Vector, lead: float, contacts: Flags, margin: float,
 ) -> InflatedObstacles:
     count, links = len(shapes), len(radii)
     cores, inflation = half_extents.copy(), np.empty((links, count))
-    smallest = np.empty((links, count))
+    smallest, may_touch = np.empty((links, count)), np.zeros((links, count), np.bool_)
+    grown = np.empty((links, count))
     speeds = surface_speeds(half_extents, velocities, angular_velocities)
     for i in range(count):
         a, b, c = half_extents[i]
@@ -122,9 +142,13 @@ def _inflated_obstacles(
             rounding = a
             cores[i, 0], cores[i, 1], cores[i, 2] = 0.0, 0.0, max(c - a, 0.0)
         for link in range(links):
-            grown = radii[link] + lead * speeds[i]
-            inflation[link, i], smallest[link, i] = grown + rounding, min(a, b, c) + grown
-    inverse = inflated_semi_axes(half_extents, radii[:, None] + lead * speeds)
+            may_touch[link, i] = shapes[i] == HALF_SPACE
+            grown[link, i] = radii[link] + lead * speeds[i]
+            if len(contacts) and contacts[link, i]:
+                may_touch[link, i], grown[link, i] = True, max(radii[link] - margin, 0.0)
+            inflation[link, i] = grown[link, i] + rounding
+            smallest[link, i] = min(a, b, c) + grown[link, i]
+    inverse = inflated_semi_axes(half_extents, grown)
     for i in range(count):
         for link in range(links):
             a, b, c = inverse[link, i]
@@ -137,4 +161,4 @@ def _inflated_obstacles(
     # Plain copies: what is taken over from Python may be in any order.
     return InflatedObstacles(
         shapes.copy(), centers.copy(), rotations.copy(), cores, inflation, inverse, smallest,
-        twists, speeds)
+        may_touch, twists, speeds)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Vector
 from redundant_planner.core.obstacles.clearance import (
     core_of,
+    is_contact,
     measure,
     measure_along,
     Pairs,
@@ -23,13 +24,7 @@ from redundant_planner.core.obstacles.clearance_gradients import (
     clearance_gradients_of,
 )
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
-from redundant_planner.core.obstacles.shapes import (
-    along,
-    ELLIPSOID,
-    flat_stretch,
-    HALF_SPACE,
-    signed_distance,
-)
+from redundant_planner.core.obstacles.shapes import along, ELLIPSOID, flat_stretch, signed_distance
 from redundant_planner.core.robot.kinematics import Chain, KinematicsAlong, Links
 
 Array = npt.NDArray[np.float64]
@@ -137,8 +132,8 @@ def _candidates(
 ) -> tuple[_Candidates, int, int, int]:
     """Return the points that may count, how many they are, and the nearest link and obstacle.
 
-    The walls of a workspace only bound the motion: the arm need not keep far from them, and
-    nobody asks for the nearest one. `pairs` has them infinitely far away afterwards.
+    Pairs that may touch only bound the motion: the arm need not keep far from them, and nobody
+    asks for the nearest one.
     """
     links, count = obstacles.smallest.shape
     # With both ends of a stretch.
@@ -146,23 +141,14 @@ def _candidates(
     found = _Candidates(np.empty(most, np.intp), np.empty(most, np.intp), np.empty(most),
                         np.empty(most), np.empty(most))
     at, link_at, obstacle_at, least = 0, -1, -1, np.inf
-    for wall in range(count):
-        if obstacles.shapes[wall] != HALF_SPACE:
-            continue
-        for link in range(links):
-            far, room = pairs.distance[link, wall], speeds[link] / rate
-            pairs.distance[link, wall] = np.inf
-            if far <= room:
-                at = _add(found, at, link, wall, pairs.parameter[link, wall],
-                          pairs.normalized_distance[link, wall], far - room)
-                at = _add_stretch(found, at, obstacles, arm, room)
     for link in range(links):
         for obstacle in range(count):
             far = pairs.distance[link, obstacle]
-            if far < least:
+            if far < least and not obstacles.may_touch[link, obstacle]:
                 link_at, obstacle_at, least = link, obstacle, far
             room = (speeds[link] + obstacles.speeds[obstacle]) / rate
-            if far <= room or far <= influence_distance:
+            if far <= room or (
+                    far <= influence_distance and not obstacles.may_touch[link, obstacle]):
                 at = _add(found, at, link, obstacle, pairs.parameter[link, obstacle],
                           pairs.normalized_distance[link, obstacle], far - room)
                 if obstacles.shapes[obstacle] != ELLIPSOID:
@@ -236,14 +222,14 @@ def near_pairs(
 
 
 @kernel
-def but_walls(
+def kept_apart(
     near: NearPairs, obstacles: InflatedObstacles,
 ) -> tuple[Vector, Vector, Matrix]:
-    """Return ρ (p,), distance (p,) and gradient (p, n) without the walls of a workspace."""
+    """Return ρ (p,), distance (p,) and gradient (p, n) without the pairs that may touch."""
     kept = np.empty(len(near.obstacles), np.intp)
     count = 0
     for i in range(len(kept)):
-        if obstacles.shapes[near.obstacles[i]] != HALF_SPACE:
+        if not obstacles.may_touch[near.links[i], near.obstacles[i]]:
             kept[count] = i
             count += 1
     if count == len(kept):
@@ -277,7 +263,8 @@ def near_pairs_along(
 ) -> NearAlong:
     """Return the pairs that are nearer than `within` [m] at postures reached at times (N,) [s].
 
-    Of more than `MOST_AHEAD_PAIRS` the nearest.
+    Of more than `MOST_AHEAD_PAIRS` the nearest. Contacts that are allowed are none of a plan's:
+    one that is deep already would keep it from ever being free.
 
     Args:
         obstacles: the obstacles now.
@@ -295,6 +282,8 @@ def near_pairs_along(
     for at in range(count):
         for link in range(links):
             for obstacle in range(k):
+                if is_contact(obstacles, link, obstacle):
+                    distance[at, link, obstacle] = np.inf
                 nearest = min(nearest, distance[at, link, obstacle])
                 found += distance[at, link, obstacle] < within
     if found > MOST_AHEAD_PAIRS:

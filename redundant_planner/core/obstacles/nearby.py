@@ -22,7 +22,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
+from redundant_planner.core.kernels import (
+    compiled,
+    entry,
+    Flags,
+    Indices,
+    kernel,
+    Matrix,
+    Stack,
+    Vector,
+)
 from redundant_planner.core.obstacles.inflation import inflated_obstacles, InflatedObstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.shapes import ELLIPSOID, HALF_SPACE, least_distance, Place
@@ -102,21 +111,42 @@ def _holds(
     return True
 
 
-def everything(scene: Scene, radii: Array, lead: float, q: Array) -> Surroundings:
+class Kept(NamedTuple):
+    """How far the arm keeps from obstacles.
+
+    Attributes:
+        radii: (c,) of the links, their margin included [m].
+        margin: that [m].
+        lead: as for `inflated_obstacles` [s].
+        contacts: (c, all obstacles) which pairs may touch; None for no pair.
+    """
+
+    radii: Array
+    margin: float
+    lead: float
+    contacts: Flags | None = None
+
+    def inflated(self, scene: Scene, chosen: Indices | None = None) -> InflatedObstacles:
+        """Return obstacles of a scene, inflated."""
+        return inflated_obstacles(scene, self.radii, self.lead, chosen, contacts=self.contacts,
+                                  margin=self.margin)
+
+
+def everything(scene: Scene, kept: Kept, q: Array) -> Surroundings:
     """Take all obstacles of a small scene for what can matter, at any posture.
 
     Args:
         scene: the obstacles.
-        radii, lead: as for `inflated_obstacles`.
+        kept: how far from them.
         q: (n,) any posture.
     """
-    maps, every = inflated_obstacles(scene, radii, lead), np.arange(len(scene.names))
-    unbounded = np.full(len(radii), np.inf)
+    maps, every = kept.inflated(scene), np.arange(len(scene.names))
+    unbounded = np.full(len(kept.radii), np.inf)
     return Surroundings(scene, every, maps, every, maps, q, unbounded, False)
 
 
 def surroundings(
-    scene: Scene, radii: Array, lead: float, arm: Kinematics, reach: Array, course: float,
+    scene: Scene, kept: Kept, arm: Kinematics, reach: Array, course: float,
 ) -> Surroundings:
     """Choose the obstacles that are, or may soon be, within reach of a link.
 
@@ -125,22 +155,21 @@ def surroundings(
 
     Args:
         scene: all obstacles.
-        radii: (c,) of the links, their margin included [m].
-        lead: as for `inflated_obstacles` [s].
+        kept: how far from them.
         arm: its posture.
         reach: (c,) how near an obstacle must be to matter [m].
         course: how far ahead obstacles are looked at in their course, at most [s].
     """
-    reaches = _Reaches(arm.segment_start, arm.segment_end, radii, reach + _EXTRA_RANGE, lead)
+    reaches = _Reaches(
+        arm.segment_start, arm.segment_end, kept.radii, reach + _EXTRA_RANGE, kept.lead)
     near, nearest, beyond = _chosen(
         scene.shapes, scene.centers, scene.rotations, scene.half_extents, scene.speeds, reaches,
         _Wanted(course, MOST_NEAR, MOST_AHEAD))
     if len(near) == len(scene.names):
         reaches.range[:] = np.inf
     return Surroundings(
-        scene, near, inflated_obstacles(scene, radii, lead, near), nearest,
-        inflated_obstacles(scene, radii, lead, nearest), arm.q, reaches.range + beyond,
-        beyond < 0.0)
+        scene, near, kept.inflated(scene, near), nearest, kept.inflated(scene, nearest), arm.q,
+        reaches.range + beyond, beyond < 0.0)
 
 
 class _Reaches(NamedTuple):

@@ -22,7 +22,7 @@ from redundant_planner.core.kernels import (
     OutVector,
     Vector,
 )
-from redundant_planner.core.obstacles.clearance import link_pair
+from redundant_planner.core.obstacles.clearance import is_contact, link_pair
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.shapes import ELLIPSOID, Place
 from redundant_planner.core.robot.kinematics import Links
@@ -35,8 +35,8 @@ TIME_STEP = 0.05
 CLEAR_DISTANCE = 0.005
 # Further away than this no distance is needed exactly [m].
 _FAR_ENOUGH = 0.1
-# What the distance of another shape costs, in distances of ellipsoids.
-_COST_OF_OTHERS = 20
+# What the distance of another shape costs, in distances of ellipsoids: mostly a bound will do.
+_COST_OF_OTHERS = 3
 
 
 class TurningJoints(NamedTuple):
@@ -125,6 +125,8 @@ def _distance(
     # Beyond what is far enough a bound from below serves as well.
     here, there = Place(start[0], start[1], start[2]), Place(end[0], end[1], end[2])
     for obstacle in range(len(obstacles.speeds)):
+        if is_contact(obstacles, link, obstacle):
+            continue
         rho, _ = link_pair(
             obstacles, link, obstacle, time, here, there, min(least, _FAR_ENOUGH))
         least = min(least, rho * obstacles.smallest[link, obstacle])
@@ -196,7 +198,8 @@ def best_turn(
         velocities: (k,) theirs now [rad/s, m/s].
         turns: (t, k) [rad, m].
         limit: turns that fall short by this much do not count [m²].
-        budget: no further turn is tried once so many distances of ellipsoids have been spent.
+        budget: after the first turn none is tried that may take more than what is left of so many
+            distances of ellipsoids.
     """
     at_first = np.zeros(len(joints.weights))
     for link in joints.links:
@@ -204,11 +207,12 @@ def best_turn(
             obstacles, link, arm.start[link], arm.end[link], 0.0) - CLEAR_DISTANCE
     others = int(np.sum(obstacles.shapes != ELLIPSOID))
     cost = len(obstacles.shapes) + (_COST_OF_OTHERS - 1) * others
-    chosen, smallest, tried, spent = -1, limit, 0, 0
-    while tried < len(turns) and (tried == 0 or spent < budget):
+    chosen, smallest, tried, spent, dearest = -1, limit, 0, 0, 0
+    while tried < len(turns) and (tried == 0 or spent + dearest <= budget):
         shortage, measured = _shortage(
             arm, obstacles, joints, velocities, turns[tried], at_first, smallest)
         spent += measured * cost
+        dearest = max(dearest, measured * cost)
         if shortage < smallest:
             chosen, smallest = tried, shortage
         # Nothing is better than a turn that falls short of nothing.

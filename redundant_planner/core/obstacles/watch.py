@@ -6,7 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.obstacles.nearby import everything, FEW, Surroundings, surroundings
+from redundant_planner.core.obstacles.contacts import AllowedContacts
+from redundant_planner.core.obstacles.nearby import (
+    everything,
+    FEW,
+    Kept,
+    Surroundings,
+    surroundings,
+)
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.kinematics import Kinematics
@@ -29,11 +36,18 @@ class ObstacleWatch:
         self, robot: Robot, parameters: PlannerParameters, limits: Limits,
         constants: RobotConstants, gains: Gains,
     ) -> None:
-        """Prepare for an arm; the other arguments are made of the parameters."""
+        """Prepare for an arm; the other arguments are made of the parameters.
+
+        Raises:
+            ParameterError: a contact is allowed to a link that the arm does not have.
+        """
         self._robot, self._limits = robot, limits
         self._constants, self._gains = constants, gains
-        self._lead, self._course = parameters.clearance_lead, parameters.clearance_evasion_horizon
-        self._radii = np.array([c.radius for c in robot.capsules]) + parameters.clearance_margin
+        self._course = parameters.clearance_evasion_horizon
+        self._contacts = AllowedContacts(parameters.allowed_contacts, robot)
+        self._kept = Kept(
+            np.array([c.radius for c in robot.capsules]) + parameters.clearance_margin,
+            parameters.clearance_margin, parameters.clearance_lead)
         self._scene: Scene | None = None
         self.fastest = 0.0
         self.reset()
@@ -76,13 +90,14 @@ class ObstacleWatch:
         around, self.chose = self._around, False
         if around is not None and around.scene is scene and around.complete:
             return around
+        kept = self._kept._replace(contacts=self._contacts.among(scene.names))
         if len(scene.names) < FEW:
-            self._around = everything(scene, self._radii, self._lead, arm.q)
+            self._around = everything(scene, kept, arm.q)
             return self._around
         near = reach(
             previous, self.fastest, self._limits, self._constants, self._gains, dt)
         if around is None or not around.hold(scene, arm.q, self._robot.lever_arm_bounds, near):
             self.chose = True
             self._around = around = surroundings(
-                scene, self._radii, self._lead, arm, near, self._course)
+                scene, kept, arm, near, self._course)
         return around

@@ -28,6 +28,8 @@ _MOST_CAPSULES = 500
 _SAMPLED_POSTURES = 500
 _LARGEST_OVERLAP_SHARE = 0.1
 _NEVER_NEARER = 0.02
+# How many of them decide about what the hand holds, while the arm may be moving.
+_POSTURES_OF_PAYLOAD = 100
 
 
 @dataclass(frozen=True, init=False)
@@ -151,6 +153,31 @@ def lever_arm_bounds(model: pin.Model, capsule_joint: Indices, capsule_ends: Arr
         bounds[i] = beyond if revolute[i] else 1.0
         beyond += length[i] + stroke[i]
     return bounds * supports_of(capsule_joint, count)
+
+
+def pairs_of_payload(
+    capsules: Sequence[Capsule], own: int, capsule_joint: Indices, arms: Iterable[Kinematics],
+) -> Indices:
+    """Return the pairs (p, 2) of what the hand holds and links that may hit each other.
+
+    All but the hand count, and but links that it would overlap at most postures.
+
+    Args:
+        capsules: the arm's own, then those of what is held.
+        own: how many are the arm's own.
+        capsule_joint: (c,) the joints that carry them.
+        arms: the kinematics at random postures, without end.
+    """
+    links, held = np.meshgrid(np.arange(own), np.arange(own, len(capsules)), indexing='ij')
+    pairs = np.column_stack((links.ravel(), held.ravel()))
+    pairs = pairs[np.diff(capsule_joint[pairs], axis=1)[:, 0] != 0]
+    if not len(pairs):
+        return pairs
+    radii = np.array([c.radius for c in capsules])
+    overlaps = np.array([
+        link_distances(arm.segment_start, arm.segment_end, radii, pairs).distance < 0.0
+        for arm in islice(arms, _POSTURES_OF_PAYLOAD)])
+    return pairs[overlaps.mean(axis=0) <= _LARGEST_OVERLAP_SHARE]
 
 
 def colliding_pairs(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+import copy
 import math
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +13,7 @@ import pinocchio as pin
 
 from redundant_planner.core.errors import known, RobotError, StateError
 from redundant_planner.core.numbers import floats_of
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import AXES, COMMAND_FRAMES
 from redundant_planner.core.robot import capsules as shapes
 from redundant_planner.core.robot.capsules import Capsule
@@ -24,6 +27,7 @@ from redundant_planner.core.robot.kinematics import (
     Links,
     new_kinematics,
 )
+from redundant_planner.core.robot.payload import payload_capsules
 from redundant_planner.core.robot.pinocchio_model import (
     chain_joints,
     link_id,
@@ -33,6 +37,7 @@ from redundant_planner.core.robot.pinocchio_model import (
 from redundant_planner.core.robot.urdf import read_urdf
 
 Array = npt.NDArray[np.float64]
+Arm = TypeVar('Arm', bound='Robot')
 
 # The planner's arithmetic keeps its digits within these [rad/s, m/s; per s²].
 _SLOWEST, _FASTEST = 1e-6, 1e6
@@ -52,7 +57,7 @@ class Robot:
         rows: (m,) which of the six axes are controlled.
         position_min, position_max: (n,) [rad, m], infinite for continuous joints.
         velocity_max, acceleration_max: (n,) [rad/s, m/s; per s²].
-        capsules: the link shapes.
+        capsules: the link shapes, then those of what the hand holds.
         self_pairs: (p, 2) indices of the capsules that can run into each other.
         supports: (c, n) 1 where a joint moves a capsule, else 0.
         lever_arm_bounds: (c, n) the fastest any point of a capsule moves per unit of joint
@@ -124,16 +129,10 @@ class Robot:
         self._tip_id = link_id(self._model, tip_frame)
         self.rows = np.array([AXES.index(axis) for axis in self.axes], dtype=np.intp)
         self.joint_frames = JointFrames(self._model)
-        self.capsules = tuple(
+        own = tuple(
             shapes.straight_capsules(self._model, self._tip_id, link_radius)
             if capsules is None else capsules)
-        self.chain = self._chain()
-        # Of the arrays that every posture gets anew, after the posture itself.
-        self._shapes = [part.shape for part in new_kinematics(
-            np.zeros(self.n), self.m, len(self.capsules))[1:]]
-        self.supports = _read_only(self.chain.supports.copy())
-        self.lever_arm_bounds = _read_only(shapes.lever_arm_bounds(
-            self._model, self.chain.capsule_joint, self.chain.capsule_ends))
+        self._take_shapes(own, len(own))
         self.self_pairs = shapes.colliding_pairs(
             self.capsules, self.chain.capsule_joint, self._random_arms())
 
@@ -147,12 +146,47 @@ class Robot:
         """Number of controlled axes."""
         return len(self.axes)
 
+    def holding(self: Arm, things: Iterable[Obstacle]) -> Arm:
+        """Return the same arm with other things in its hand, as more capsules on the tip's joint.
+
+        Args:
+            things: their shapes in the tip's frame; none for an empty hand.
+
+        Raises:
+            ObstacleError: they cannot be held.
+        """
+        own = self.capsules[:self._own]
+        held = payload_capsules(things, self.tip_frame)
+        robot = copy.copy(self)
+        robot._take_shapes((*own, *held), len(own))
+        joints = robot.chain.capsule_joint
+        pairs = [self.self_pairs[(self.self_pairs < len(own)).all(axis=1)]]
+        if held:
+            pairs.append(shapes.pairs_of_payload(
+                robot.capsules, len(own), joints, robot._random_arms()))
+        robot.self_pairs = np.concatenate(pairs)
+        return robot
+
     @property
     def moving_links(self) -> dict[str, str]:
         """The links that chain joints move → the joint that carries each."""
         model = self._model
         return {frame.name: model.names[frame.parentJoint] for frame in model.frames
                 if frame.type == pin.FrameType.BODY and frame.parentJoint > 0}
+
+    @property
+    def links_at_rest(self) -> tuple[str, ...]:
+        """The links that no chain joint moves."""
+        return self._links_on(0)
+
+    @property
+    def links_of_tip(self) -> tuple[str, ...]:
+        """The links that move along with the tip, itself among them."""
+        return self._links_on(self._model.frames[self._tip_id].parentJoint)
+
+    def _links_on(self, joint: int) -> tuple[str, ...]:
+        return tuple(frame.name for frame in self._model.frames
+                     if frame.type == pin.FrameType.BODY and frame.parentJoint == joint)
 
     def in_link(self, target: str, source: str, points: Array) -> Array:
         """Return points (k, 3) given in one link's frame in another's on the same joint [m]."""
@@ -241,6 +275,17 @@ class Robot:
         twist = np.zeros(6)
         twist[self.rows] = task
         return twist
+
+    def _take_shapes(self, capsules: tuple[Capsule, ...], own: int) -> None:
+        """Set all that follows from the link shapes, of which the first ones are the arm's own."""
+        self.capsules, self._own = capsules, own
+        self.chain = self._chain()
+        # Of the arrays that every posture gets anew, after the posture itself.
+        self._shapes = [part.shape for part in new_kinematics(
+            np.zeros(self.n), self.m, len(self.capsules))[1:]]
+        self.supports = _read_only(self.chain.supports.copy())
+        self.lever_arm_bounds = _read_only(shapes.lever_arm_bounds(
+            self._model, self.chain.capsule_joint, self.chain.capsule_ends))
 
     def _chain(self) -> Chain:
         """Return what the kinematics are computed from at any posture."""

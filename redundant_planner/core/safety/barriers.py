@@ -18,7 +18,6 @@ from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import NearPairs
 from redundant_planner.core.obstacles.self_collision import NearLinks
-from redundant_planner.core.obstacles.shapes import HALF_SPACE
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.redundancy.reference import Start
@@ -168,8 +167,8 @@ def obstacle_rows(
 ) -> int:
     """Write a row for every link and obstacle whose barrier could act; return the next row.
 
-    What is found beyond the surface of a half-space may stay there, and only not get deeper. A
-    wall is a wish of the user's, not a thing that is to be left at once.
+    What may touch and is found doing so may stay there, and only not get deeper: a wall is a wish
+    of the user's, and an allowed contact one too, not a thing that is to be left at once.
 
     Args:
         rows, at: where to, from which row on.
@@ -180,7 +179,7 @@ def obstacle_rows(
         link, obstacle = near.links[pair], near.obstacles[pair]
         rows.gradient[at] = near.gradient[pair]
         rows.time_derivative[at], rows.value[at] = near.rate[pair], near.normalized_distance[pair]
-        if maps.shapes[obstacle] == HALF_SPACE:
+        if maps.may_touch[link, obstacle]:
             rows.value[at] = max(rows.value[at], 0.0)
         rows.spare[at] = lead * maps.speeds[obstacle] / maps.smallest[link, obstacle]
         rows.kind[at], rows.first[at], rows.second[at] = OBSTACLE, link, obstacle
@@ -285,6 +284,6 @@ def is_intruded(near: NearPairs, maps: InflatedObstacles, turn: Turn) -> bool:
     intruded = len(turn.velocities) > 0
     for pair in near.acting:
         inside = (near.distance[pair] < -_FOUND_INSIDE
-                  and maps.shapes[near.obstacles[pair]] != HALF_SPACE)
+                  and not maps.may_touch[near.links[pair], near.obstacles[pair]])
         intruded = intruded or inside or near.rate[pair] < 0.0
     return intruded

@@ -34,8 +34,12 @@ _PRICE_RESIDUAL_STRICT = 1e8
 _UNBOUNDED = 1e30
 # Multipliers below this are round-off, not a constraint that acts.
 _ACTIVE = 1e-9
-# Iterations that a stage may take: five times what hard scenes need. Then the next stage is tried.
-MOST_ITERATIONS = 80
+# Iterations that a stage may take, and one whose barriers have slacks. In hard scenes one in a
+# thousand and one in twenty take more. Then the next stage is tried.
+MOST_ITERATIONS, MOST_ITERATIONS_WITH_SLACK = 40, 80
+# The solver's tolerances are absolute. Where barriers share one slack its prices are this much
+# smaller, or a standing arm may take a thousand iterations.
+_SHARED_SCALE = 0.01
 _SOLVED, _OUT_OF_ITERATIONS = 1, -4
 _EQUALITY = 5
 
@@ -56,6 +60,7 @@ class StageProblem(NamedTuple):
         weights: (n,) diagonal of W.
         may_keep_residual: whether a share of the residual twist may remain.
         slack: whether barriers may give way.
+        shared: whether all of them share one slack: fewer variables, and a solution sooner.
         path_gives_way: whether the path may.
     """
 
@@ -72,6 +77,7 @@ class StageProblem(NamedTuple):
     weights: Vector
     may_keep_residual: bool
     slack: bool
+    shared: bool
     path_gives_way: bool
 
 
@@ -100,7 +106,7 @@ def solve(problem: StageProblem) -> tuple[Solution | None, bool]:
     hessian, linear, constraints, high, low, sense = _matrices(problem)
     x, _, flag, info = daqp.solve(
         hessian, linear, constraints, high, low, sense, primal_tol=TOLERANCE,
-        iter_limit=MOST_ITERATIONS)
+        iter_limit=MOST_ITERATIONS_WITH_SLACK if problem.slack else MOST_ITERATIONS)
     found = Solution(*_solution(
         x, info['lam'], problem.lower, problem.upper, len(problem.bounds)))
     return (found if flag == _SOLVED and found.finite else None), flag == _OUT_OF_ITERATIONS
@@ -135,7 +141,8 @@ def _matrices(
     jacobian, bounds, twist = problem.jacobian, problem.bounds, problem.twist
     m, n = jacobian.shape
     rows = len(bounds)
-    slacks, groups = n + 1 + problem.may_keep_residual, min(rows, _OWN_SLACKS + 1)
+    slacks = n + 1 + problem.may_keep_residual
+    groups = min(rows, 1 if problem.shared else _OWN_SLACKS + 1)
     size = slacks + 2 * groups * problem.slack
     path = np.zeros((m, size))
     for row in range(m):
@@ -198,4 +205,7 @@ def _matrices(
             spare = problem.spare[row]
             high[first] = min(high[first], spare) if rank >= groups else spare
             high[second] = _UNBOUNDED
+    if problem.shared:
+        hessian *= _SHARED_SCALE
+        linear *= _SHARED_SCALE
     return hessian, linear, constraints, high, low, sense

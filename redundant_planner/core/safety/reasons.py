@@ -42,7 +42,9 @@ def reason_for(
         return ''
     names = [f"joint '{robot.joint_names[i]}' at its limit" for i in at_limit]
     names += [_row_name(row, barriers, around, robot) for row in result.pairs.tolist()]
-    return f'{result.stage.value}: {", ".join(names) or "singular posture"}'
+    # A link may have several points near an obstacle.
+    named = ', '.join(dict.fromkeys(names))
+    return f'{result.stage.value}: {named or "singular posture"}'
 
 
 def _row_name(row: int, barriers: Barriers, around: Surroundings, robot: Robot) -> str:

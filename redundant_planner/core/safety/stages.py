@@ -60,6 +60,7 @@ class _Rule(NamedTuple):
         soft: whether rows that are not urgent count.
         slack: whether the twist stops, and each barrier gets a heavily priced slack: a barrier
             that nothing can keep then costs the others nothing.
+        shared: whether all barriers share one slack instead.
     """
 
     stage: Stage
@@ -68,6 +69,7 @@ class _Rule(NamedTuple):
     path: bool
     soft: bool
     slack: bool
+    shared: bool = False
 
 
 # The order of giving way. Limits of position, velocity and acceleration hold in every stage.
@@ -77,6 +79,8 @@ _RULES = (
     # Only where something moves into the arm or was found too close to it, if that is allowed.
     _Rule(Stage.YIELDING, brakes=False, residual=True, path=True, soft=False, slack=False),
     _Rule(Stage.FORCED, brakes=False, residual=True, path=True, soft=False, slack=True),
+    _Rule(Stage.FORCED, brakes=False, residual=True, path=True, soft=False, slack=True,
+          shared=True),
 )
 
 
@@ -173,8 +177,8 @@ def safe_velocity(
             request.turning, residual, low if brakes else lower, high if brakes else upper,
             gradient, bounds,
             barrier_rate(gain, until, dt) * barriers.spare[:rows] if rule.slack else _NO_SPARE,
-            weights, rule.residual, rule.slack, rule.path and may_yield))
-        if out_of_iterations:
+            weights, rule.residual, rule.slack, rule.shared, rule.path and may_yield))
+        if out_of_iterations and rule.stage not in cut_short:
             cut_short.append(rule.stage)
         if found is not None:
             return Filtered(

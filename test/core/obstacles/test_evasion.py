@@ -68,8 +68,8 @@ def test_a_course_into_a_link_is_found(panda):
 
 
 def turn_of(robot, planner, q, scene, leaving=False):
-    return planner.turn(robot.kinematics(q), maps_of(robot, scene), np.zeros(robot.n), leaving,
-                        0.004)
+    return planner.turn(
+        robot.kinematics(q), maps_of(robot, scene), np.zeros(robot.n), leaving, False, 0.004)
 
 
 def test_only_what_is_on_its_way_into_a_link_makes_it_turn(panda):

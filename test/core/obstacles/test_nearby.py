@@ -13,12 +13,14 @@ from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.nearby import surroundings
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 
 PANDA = make_panda()
 RADII = np.array([capsule.radius for capsule in PANDA.capsules])
 LEAD, COURSE = 0.1, 2.0
+KEPT = nearby.Kept(RADII, 0.0, LEAD)
 
 
 def cloud(count, seed, extent=1.5, speed=0.0):
@@ -38,7 +40,7 @@ def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach)
     (q,) = random_postures(PANDA, 1, seed)
     arm = PANDA.kinematics(q)
     limit = np.full(len(RADII), reach) * random.uniform(0.5, 1.0, len(RADII))
-    around = surroundings(scene, RADII, LEAD, arm, limit, COURSE)
+    around = surroundings(scene, KEPT, arm, limit, COURSE)
     assert around.hold(scene, q, PANDA.lever_arm_bounds, limit)
     left_out = ~np.isin(np.arange(60), around.near)
     for _ in range(20):
@@ -59,7 +61,7 @@ def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(nearby, 'MOST_NEAR', most)
         patch.setattr(nearby, 'MOST_AHEAD', most)
-        around = surroundings(scene, RADII, LEAD, arm, np.full(len(RADII), reach), COURSE)
+        around = surroundings(scene, KEPT, arm, np.full(len(RADII), reach), COURSE)
     assert 1 <= len(around.near) <= most and len(around.nearest) == most
     distance = link_clearance(
         inflated_obstacles(scene, RADII, LEAD), arm.segment_start, arm.segment_end).distance
@@ -74,7 +76,7 @@ def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(nearby, 'MOST_AHEAD', most)
         nearest = surroundings(
-            balls, RADII, LEAD, arm, np.full(len(RADII), reach), COURSE).nearest
+            balls, KEPT, arm, np.full(len(RADII), reach), COURSE).nearest
     least = link_clearance(
         inflated_obstacles(balls, RADII, LEAD),
         arm.segment_start, arm.segment_end).distance.min(axis=0)
@@ -87,8 +89,10 @@ def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch)
     """A hall full of obstacles, some on the way; tick by tick to round-off.
 
     Without looking ahead, which dynamic_factor does among few obstacles only, and without bounds
-    on how many a tick takes in.
+    on how many a tick takes in. Nor does other work wait while it chooses.
     """
+    monkeypatch.setattr(ObstacleWatch, 'chose', property(lambda _: False, lambda _, value: None),
+                        raising=False)
     monkeypatch.setattr(nearby, 'MOST_NEAR', 10**9)
     monkeypatch.setattr(nearby, 'MOST_AHEAD', 10**9)
     robot = make()
