@@ -27,6 +27,7 @@ from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
+from visualization_msgs.msg import Marker
 
 from benchmark.fuzz.tally import Tally
 from redundant_planner.analysis.bag_analysis import analyse
@@ -71,7 +72,8 @@ _STATE = 'sensor_msgs/msg/JointState'
 _TEXT = 'std_msgs/msg/String'
 _KINDS = {
     '/joint_states': _STATE, '/joint_command': _STATE, '/cmd_vel': 'geometry_msgs/msg/Twist',
-    '/obstacles': 'visualization_msgs/msg/MarkerArray', '/robot_description': _TEXT,
+    '/obstacles': 'visualization_msgs/msg/MarkerArray',
+    '/attached': 'visualization_msgs/msg/MarkerArray', '/robot_description': _TEXT,
     '/planner_node/configuration': _TEXT,
     '/planner_node/ticks': 'std_msgs/msg/Float64MultiArray',
     '/cmd_vel_preview': 'trajectory_msgs/msg/MultiDOFJointTrajectory',
@@ -133,7 +135,11 @@ def _sound() -> tuple[list[Recorded], str]:
         cmd.angular.x, cmd.angular.y, cmd.angular.z = twist[3:].tolist()
         tick = RecordedTick(at, float(motion.times[i]),
                             TickKind.GOING_ON if i else TickKind.STARTING, 1, 1, float('nan'),
-                            twist, q)
+                            i // 50, twist, q)
+        if i % 50 == 25:  # taken up and put down again
+            held = markers_of(scenario.obstacles if i % 100 == 25 else [], robot.tip_frame)
+            held.markers.insert(0, Marker(action=Marker.DELETEALL))
+            found.append(Recorded('/attached', at, serialize_message(held)))
         if i % 25 == 0:
             found += [
                 Recorded('/obstacles', at, serialize_message(

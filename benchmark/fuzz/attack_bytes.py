@@ -1,4 +1,4 @@
-"""Damaged messages: joint_states, obstacles, previews and commands as bytes, then a tick.
+"""Damaged messages: joint_states, obstacles, payload, previews and commands, then a tick.
 
 Valid messages of many kinds are mutated (bits, bytes, words that become huge counts or special
 numbers, cuts, splices, another encoding) and read one after another by the same readers, as in a
@@ -25,6 +25,7 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.payload import Payload
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.command_input import CommandInput
@@ -61,12 +62,22 @@ def attack(random: Random, folder: Path, tally: Tally) -> None:
     joints = JointReader(robot.joint_names)
     planner, q, dq = Planner(robot, PlannerParameters(
         method=random.choice(['dynamic_factor', 'variational']))), START.copy(), np.zeros(robot.n)
+    payload = Payload(robot)
+
+    def attach(raw: bytes) -> list[str]:
+        problems = payload.tracker.update(raw, clock[0])
+        things = payload.changed()
+        if things is not None:
+            planner.hold(things)
+            book.hidden = payload.names
+        return problems
+
     takers = {
-        'joint_states': joints.positions, 'obstacles': lambda raw: book.update(raw, clock[0]),
-        'cmd_vel': command.on_twist, 'stamped': command.on_twist_stamped,
-        'preview': command.on_preview}
-    makers = {'joint_states': joint_state, 'obstacles': marker_array, 'cmd_vel': twist,
-              'stamped': stamped_twist, 'preview': preview}
+        'attached': attach, 'joint_states': joints.positions,
+        'obstacles': lambda raw: book.update(raw, clock[0]), 'cmd_vel': command.on_twist,
+        'stamped': command.on_twist_stamped, 'preview': command.on_preview}
+    makers = {'attached': marker_array, 'joint_states': joint_state, 'obstacles': marker_array,
+              'cmd_vel': twist, 'stamped': stamped_twist, 'preview': preview}
     earlier: list[bytes] = [b'']
     for number in range(MESSAGES):
         topic = str(random.choice(list(takers)))
@@ -77,7 +88,8 @@ def attack(random: Random, folder: Path, tally: Tally) -> None:
         answer = tally.attempt(lambda: takers[topic](raw))  # noqa: B023
         if topic == 'joint_states' and answer is not None:
             tally.check_finite(answer)
-        refused = len(answer) if topic == 'obstacles' and answer else len(sentences)
+        refused = (len(answer) if topic in ('attached', 'obstacles') and answer
+                   else len(sentences))
         tally.refusals += bool(refused)
         sentences.clear()
         clock[0] += float(random.choice([0.001, 0.02, 0.4]))

@@ -21,6 +21,7 @@ from redundant_planner.io.marker_reader import (
     Listing,
     MarkerReader,
     Markers,
+    SPHERE,
 )
 from redundant_planner.io.marker_shapes import lists_many, shaped, single, sizes, things_of
 from redundant_planner.io.obstacle_bounds import checked, faults, GOOD, problem_of, problem_of_list
@@ -201,7 +202,8 @@ class ObstacleTracker:
         places, rows = places[rows >= 0], rows[rows >= 0]
         self._take_in(Sightings(
             rows, (actions[places] == DELETE).astype(np.intp), centers[places], axes[places],
-            *shaped(types[places], full[places]), markers.stamps[places],
+            # A marker that deletes may be of any type.
+            *shaped(np.where(adds, types, SPHERE)[places], full[places]), markers.stamps[places],
             markers.lifetimes[places]), now)
         lists = good & lists_many(types)
         lists[:first] = False

@@ -174,7 +174,8 @@ def write_replay(path: Path, inputs: Inputs, replay: Replay, origin_ns: int, tex
              'cmd_vel': 'geometry_msgs/msg/Twist',
              'configuration': 'std_msgs/msg/String',
              'robot_description': 'std_msgs/msg/String',
-             'obstacles': 'visualization_msgs/msg/MarkerArray'}
+             'obstacles': 'visualization_msgs/msg/MarkerArray',
+             'attached': 'visualization_msgs/msg/MarkerArray'}
     with BagWriter(path) as bag:
         for topic, kind in kinds.items():
             bag.add_topic(f'/{topic}', kind)

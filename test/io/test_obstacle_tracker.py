@@ -412,3 +412,28 @@ def test_any_sequence_of_messages_leads_where_its_markers_lead_one_by_one(data):
             np.testing.assert_allclose(scene.half_extents[i], known[name]['axes'], rtol=1e-12)
             np.testing.assert_allclose(
                 scene.velocities[i], known[name]['velocity'], rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize('kind', [-1, -10, 9, 10, 11, 2**31 - 1])
+def test_a_marker_that_deletes_may_be_of_any_type(kind):
+    book = ObstacleTracker((), ['base'])
+    assert not tell(book, 0.0, marker(1), marker(2))
+    assert not tell(book, 0.0, marker(1, kind=kind, action=Marker.DELETE), marker(3))
+    assert book.scene.names == ('o/2', 'o/3')
+
+
+def test_what_is_hidden_comes_back_where_it_was_last_seen():
+    book = ObstacleTracker([Obstacle('o/7', (0.0, 0.0, 0.0), (0.1, 0.1, 0.1))], ['base'])
+    points = marker(5, kind=Marker.POINTS, points=[Point(), Point(x=1.0)])
+    assert not tell(book, 0.0, marker(7), marker(8), points)
+    book.hidden = frozenset({'o/7', 'o/5'})
+    # What the parameters name stays, whatever it is called.
+    assert book.scene.names == ('o/7', 'o/8')
+    scene = book.scene
+    book.hidden = frozenset({'o/5', 'o/7'})
+    assert book.scene is scene
+    assert not tell(book, 0.0, marker(7, at=(0.5, 0.0, 0.0)), marker(8))
+    assert book.scene.names == ('o/7', 'o/8')
+    book.hidden = frozenset()
+    assert book.scene.names == ('o/7', 'o/7', 'o/8', 'o/5', 'o/5')
+    np.testing.assert_array_equal(book.scene.centers[1], [0.5, 0.0, 0.0])

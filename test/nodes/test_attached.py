@@ -23,7 +23,7 @@ from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.parameter_files import settings_of
 from redundant_planner.nodes.messages import markers_of
-from redundant_planner.tools.replay_bag import again, differences
+from redundant_planner.tools.replay_bag import again, differences, main as replay_bag
 
 pytestmark = LIVE
 
@@ -115,6 +115,7 @@ def test_a_thing_is_taken_carried_past_others_and_let_go(ros, tmp_path):
     assert {tick.attached_messages for _, tick in inputs.ticks} >= {1, 2}
     found = differences(inputs, again(inputs, settings_of(PlannerParameters, inputs.values)))
     assert len(found) > 200 and found.max() < 1e-9
+    assert replay_bag([str(tmp_path / 'bag'), '--out', str(tmp_path / 'again')]) == 0
     analysis = analyse(tmp_path / 'bag')
     assert analysis.clearance.link == 'attached/rod/0' and analysis.clearance.obstacle == 'post/1'
     assert 0.0 < analysis.distance < 0.1

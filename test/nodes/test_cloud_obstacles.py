@@ -158,6 +158,20 @@ def test_the_arm_is_taken_out_where_it_is(seer):
     np.testing.assert_allclose(seer.cubes(), [[0.5125, 0.4125, 0.8125]])
 
 
+def test_what_the_hand_holds_is_taken_out_until_it_lets_go(seer):
+    attached = seer.ros.node.create_publisher(MarkerArray, 'attached', 10)
+    panda = make_panda()
+    arm = panda.kinematics(PANDA_READY)
+    held = [arm.tip_position + arm.tip_rotation @ [0.0, 0.0, 0.25]]
+    seer.ros.wait_for(attached.get_subscription_count, 'listener')
+    seer.until(lambda: len(seer.cubes()) == 1, 'a voxel', held)
+    attached.publish(markers_of(
+        [Obstacle('cup', (0.0, 0.0, 0.25), (0.05, 0.05, 0.05))], panda.tip_frame))
+    seer.until(lambda: len(seer.cubes()) == 0, 'an arm with a cup', held)
+    attached.publish(MarkerArray(markers=[Marker(action=Marker.DELETEALL)]))
+    seer.until(lambda: len(seer.cubes()) == 1, 'a voxel again', held)
+
+
 def test_what_is_no_longer_seen_goes_after_its_time_and_clear_forgets_at_once(seer):
     there = [[0.5, 0.4, 0.8], [0.6, 0.4, 0.8]]
     seer.until(lambda: len(seer.cubes()) == 2, 'two voxels', there)
