@@ -12,6 +12,7 @@ from redundant_planner.core.errors import known, ParameterError
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.shapes import HALF_SPACE
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.payload import ATTACHED
@@ -95,6 +96,8 @@ def contacts(
 ) -> tuple[Contact, ...]:
     """Return the deepest contact of every link and name of an obstacle, at one posture.
 
+    Links may be beyond the walls of a workspace.
+
     Args:
         robot: the arm.
         arm: where its links are.
@@ -107,11 +110,15 @@ def contacts(
     pairs = link_clearance(
         inflated_obstacles(scene, [c.radius for c in capsules]), arm.segment_start,
         arm.segment_end, enough=0.0)
-    flags, deepest = allowed.among(scene.names), dict[tuple[str, str], Contact]()
+    may_touch = np.tile(scene.shapes == HALF_SPACE, (len(capsules), 1))
+    flags = allowed.among(scene.names)
+    if flags is not None:
+        may_touch |= flags
+    deepest: dict[tuple[str, str], Contact] = {}
     for link, obstacle in np.argwhere(pairs.distance < 0.0).tolist():
         found = Contact(capsules[link].name, scene.names[obstacle],
                         -float(pairs.distance[link, obstacle]),
-                        flags is not None and bool(flags[link, obstacle]))
+                        bool(may_touch[link, obstacle]))
         key = found.link, found.obstacle
         if key not in deepest or deepest[key].depth < found.depth:
             deepest[key] = found

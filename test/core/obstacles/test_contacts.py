@@ -11,6 +11,7 @@ from redundant_planner.core.errors import ParameterError
 from redundant_planner.core.obstacles.contacts import AllowedContacts
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.workspace import walls
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety.stages import Stage
@@ -90,7 +91,11 @@ def test_what_touches_is_named_with_its_depth_and_whether_it_may(panda):
         assert found.depth == pytest.approx(0.02, abs=1e-6) and found.allowed is bool(allowed)
         hint = 'may not get deeper' if allowed else "add 'fingers:table/7' to allowed_contacts"
         assert '20 mm deep' in str(found) and hint in str(found)
-    assert not Planner(panda, PlannerParameters()).contacts(PANDA_READY, table_at(panda, -0.02))
+    planner = Planner(panda, PlannerParameters())
+    assert not planner.contacts(PANDA_READY, table_at(panda, -0.02))
+    beyond = planner.contacts(PANDA_READY, Scene.of(walls((-2, -2, -2, 2, 2, 0.7))))
+    assert {found.link for found in beyond} == {'link4', 'link5', 'link6'}
+    assert all(found.allowed for found in beyond)
 
 
 def test_names_of_obstacles_may_be_namespaces_and_those_of_links_capsules_or_links(panda):
