@@ -103,6 +103,17 @@ class InflatedObstacles(NamedTuple):
     speeds: Vector
 
 
+class _Chosen(NamedTuple):
+    """The rows of some obstacles of a scene, see there."""
+
+    shapes: Indices
+    centers: Matrix
+    rotations: Stack
+    half_extents: Matrix
+    velocities: Matrix
+    angular_velocities: Matrix
+
+
 def inflated_obstacles(
     scene: Scene, radii: npt.ArrayLike, lead: float = 0.0, chosen: Indices | None = None, *,
     contacts: Flags | None = None, margin: float = 0.0,
@@ -119,22 +130,23 @@ def inflated_obstacles(
     """
     every = np.arange(len(scene.names)) if chosen is None else chosen
     return _inflated_obstacles(
-        scene.shapes[every], scene.centers[every], scene.rotations[every],
-        scene.half_extents[every], scene.velocities[every], scene.angular_velocities[every],
+        _Chosen(
+            scene.shapes[every], scene.centers[every], scene.rotations[every],
+            scene.half_extents[every], scene.velocities[every], scene.angular_velocities[every]),
         np.array(radii, dtype=float), lead,
         np.zeros((0, 0), bool) if contacts is None else contacts[:, every], margin)
 
 
 @entry
 def _inflated_obstacles(
-    shapes: Indices, centers: Matrix, rotations: Stack, half_extents: Matrix, velocities: Matrix,
-    angular_velocities: Matrix, radii: Vector, lead: float, contacts: Flags, margin: float,
+    chosen: _Chosen, radii: Vector, lead: float, contacts: Flags, margin: float,
 ) -> InflatedObstacles:
+    shapes, half_extents = chosen.shapes, chosen.half_extents
     count, links = len(shapes), len(radii)
     cores, inflation = half_extents.copy(), np.empty((links, count))
     smallest, may_touch = np.empty((links, count)), np.zeros((links, count), np.bool_)
     grown = np.empty((links, count))
-    speeds = surface_speeds(half_extents, velocities, angular_velocities)
+    speeds = surface_speeds(half_extents, chosen.velocities, chosen.angular_velocities)
     for i in range(count):
         a, b, c = half_extents[i]
         rounding = 0.0
@@ -157,8 +169,7 @@ def _inflated_obstacles(
             for axis in range(3):
                 inverse[link, i, axis] = 1.0 / inverse[link, i, axis]
     twists = np.empty((count, 6))
-    twists[:, :3], twists[:, 3:] = velocities, angular_velocities
-    # Plain copies: what is taken over from Python may be in any order.
+    twists[:, :3], twists[:, 3:] = chosen.velocities, chosen.angular_velocities
     return InflatedObstacles(
-        shapes.copy(), centers.copy(), rotations.copy(), cores, inflation, inverse, smallest,
-        may_touch, twists, speeds)
+        shapes, chosen.centers, chosen.rotations, cores, inflation, inverse, smallest, may_touch,
+        twists, speeds)

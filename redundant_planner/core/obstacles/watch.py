@@ -90,14 +90,16 @@ class ObstacleWatch:
         around, self.chose = self._around, False
         if around is not None and around.scene is scene and around.complete:
             return around
-        kept = self._kept._replace(contacts=self._contacts.among(scene.names))
         if len(scene.names) < FEW:
-            self._around = everything(scene, kept, arm.q)
+            self._around = everything(scene, self._kept_from(scene), arm.q)
             return self._around
         near = reach(
             previous, self.fastest, self._limits, self._constants, self._gains, dt)
         if around is None or not around.hold(scene, arm.q, self._robot.lever_arm_bounds, near):
             self.chose = True
             self._around = around = surroundings(
-                scene, kept, arm, near, self._course)
+                scene, self._kept_from(scene), arm, near, self._course)
         return around
+
+    def _kept_from(self, scene: Scene) -> Kept:
+        return self._kept._replace(contacts=self._contacts.among(scene.names))
