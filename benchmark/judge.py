@@ -28,8 +28,8 @@ class Verdict:
     Attributes:
         min_distance: smallest distance of a link to an obstacle, negative inside [m].
         nearest: names of that link and obstacle, and when [s].
-        limit_violation: largest excess over a position, velocity or acceleration limit, as a
-            share of that limit (positions: in rad, m).
+        limit_violation: largest excess over a limit of position, velocity, acceleration or jerk,
+            as a share of that limit (positions: in rad, m).
         path_error: largest distance of the tip from the commanded path [m].
         turn_error: largest angle between the tip's orientation and the path's nearest one [rad];
             0 where orientation is not controlled.
@@ -93,13 +93,23 @@ def limit_violation(robot: Robot, postures: Array, velocities: Array, dt: float)
         velocities: (k, n) between them.
         dt: [s].
     """
-    change = np.diff(np.vstack((np.zeros(robot.n), velocities)), axis=0) / dt
     excess = max(
         float((postures - robot.position_max).max()),
         float((robot.position_min - postures).max()),
         float((np.abs(velocities) / robot.velocity_max).max() - 1.0),
-        float((np.abs(change) / robot.acceleration_max).max() - 1.0))
+        float((np.abs(accelerations(velocities, dt)) / robot.acceleration_max).max() - 1.0),
+        float((np.abs(jerks(velocities, dt)) / robot.jerk_max).max() - 1.0))
     return excess if excess > _TOLERANCE else 0.0
+
+
+def accelerations(velocities: Array, dt: float) -> Array:
+    """Return accelerations (k, n) of velocity commands (k, n), from rest on."""
+    return np.diff(velocities, axis=0, prepend=0.0) / dt
+
+
+def jerks(velocities: Array, dt: float) -> Array:
+    """Return jerks (k, n) of velocity commands (k, n), from rest on."""
+    return np.diff(accelerations(velocities, dt), axis=0, prepend=0.0) / dt
 
 
 def nearest_index(path: Array, point: Array) -> int:

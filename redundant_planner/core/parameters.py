@@ -238,6 +238,17 @@ class PlannerParameters:
         group='limits',
         description='A faster commanded rotation is slowed to this, the direction kept; 0 stops '
                     'every motion that turns.')
+    drive_lag: float = parameter(
+        0.0, low=0.0, high=0.5, unit='s',
+        group='drive',
+        description="Time constant of the drives' velocity. With it and drive.dead_time the "
+                    'planner knows where the arm should be by now; identify_delay measures both. '
+                    'Off by half, and the tip is a millimetre further off its path.')
+    drive_dead_time: float = parameter(
+        0.0, low=0.0, high=0.5, unit='s',
+        group='drive',
+        description='Time from a command to the first measurement of what it causes, the way '
+                    'there and back included.')
     singularity_margin: float = parameter(
         0.04, low=0.0, high=10.0, unit='m', runtime=True,
         group='singularity',

@@ -27,8 +27,10 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.redundancy.reference import followed_pose, Start
+from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, window_of
 from redundant_planner.core.safety.limits import slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
@@ -49,16 +51,21 @@ class _LastTick(NamedTuple):
     """What one tick leaves to the next.
 
     Attributes:
-        dq: (n,) its velocity.
+        dq: (n,) the velocity that it planned.
+        sent, before: (n,) the velocities that were commanded then, and a tick earlier.
         reference: pose that the tip should have now; None after a reset, for the tip's own.
         followed: (m,) the part of the path that was followed.
         leaving: whether the arm is leaving its path to evade something.
+        rushed: whether clearance took all the acceleration that there is.
     """
 
     dq: Array
+    sent: Array
+    before: Array
     reference: Pose | None
     followed: Array
     leaving: bool
+    rushed: bool
 
 
 class Planner:
@@ -85,8 +92,11 @@ class Planner:
         """
         self.robot = robot
         self._filtered = filtered
+        self._reversal_time = reversal_time(robot.acceleration_max, robot.jerk_max)
         self._controlled = robot.full_twist(np.ones(robot.m))
-        self._last = _LastTick(np.zeros(robot.n), None, np.zeros(robot.m), False)
+        self._last = self._at_rest()
+        self._mean = MeanVelocity(robot.n)
+        self._observer = JointObserver(robot.n, 0.0, 0.0)
         self.parameters = parameters
 
     @property
@@ -112,6 +122,9 @@ class Planner:
             robot, parameters, self._limits, self._constants, self._gains)
         self._evasion = Evasion(robot, parameters)
         self._watch = watch
+        drive = parameters.drive_lag, parameters.drive_dead_time
+        if drive != (self._observer.lag, self._observer.dead_time):
+            self._observer = JointObserver(robot.n, *drive)
 
     def hold(self, things: Iterable[Obstacle]) -> None:
         """Make what the hand holds a part of the arm, from the next tick on, and it alone.
@@ -142,11 +155,17 @@ class Planner:
 
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
-        self._last = _LastTick(np.zeros(self.robot.n), None, np.zeros(self.robot.m), False)
+        self._last = self._at_rest()
+        self._mean.start(1, self._last.dq)
+        self._observer.reset()
         self._links = self._never_measured()
         self._look_ahead.reset()
         self._evasion.reset()
         self._watch.reset()
+
+    def _at_rest(self) -> _LastTick:
+        still = np.zeros(self.robot.n)
+        return _LastTick(still, still, still, None, np.zeros(self.robot.m), False, False)
 
     @property
     def reference(self) -> Pose | None:
@@ -169,7 +188,8 @@ class Planner:
         """Return the joint velocity for the next `dt`.
 
         Args:
-            q: (n,) measured joint positions [rad, m].
+            q: (n,) measured joint positions [rad, m]. They may be late, as `drive.lag` and
+                `drive.dead_time` say, and noisy.
             twist: (6,) commanded tip twist in the command frame [m/s, rad/s]; entries of axes
                 that are not controlled do not count.
             scene: the obstacles. Pass the same object while nothing changes.
@@ -184,7 +204,7 @@ class Planner:
         """
         # Sense: where the arm is, and the obstacles near it.
         command, commanded = self._checked_command(twist, dt)
-        arm = self.robot.kinematics(q)
+        arm = self.robot.kinematics(self._posture(self.robot.checked_posture(q), dt))
         pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
         around = self._watch.look(scene, arm, last.dq, dt)
 
@@ -196,7 +216,7 @@ class Planner:
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(
             around.maps, around.q, around.range, turn, last.dq if path is None else path,
-            0.0 if path is None else self._look_ahead.guided)
+            0.0 if path is None else self._look_ahead.guided, self._observer.strayed)
         desired = wish(start, world, self._links, self._constants, self._limits, self._gains)
 
         # Guard: every limit and barrier, docs/safety.md.
@@ -209,13 +229,51 @@ class Planner:
 
         # Remember: where the tip should be, and how fast the arm is.
         followed, reached = self._followed(result, desired, arm.jacobian, dt)
+        sent = self._mean.take(result.dq)
+        self._observer.commanded(sent, dt)
         self._last = _LastTick(
-            result.dq, reached, followed, result.stage in (Stage.YIELDING, Stage.FORCED))
+            result.dq, sent, last.sent, reached, followed,
+            result.stage in (Stage.YIELDING, Stage.FORCED),
+            result.stage is Stage.FORCED and desired.intruded)
         return StepResult(
-            result.dq.copy(), desired.least_norm, desired.homogeneous, desired.factor,
+            sent.copy(), desired.least_norm, desired.homogeneous, desired.factor,
             result.scale, result.stage, '; '.join([*fallbacks, reason] if reason else fallbacks),
             '; '.join(fallbacks), desired.clearance_index, self._nearest(desired, around),
-            desired.manipulability, pose, desired.task.error)
+            desired.manipulability, pose, desired.task.error,
+            self._mean.ticks >= self._ticks(dt))
+
+    def braked(self, dq: Array, dt: float) -> None:
+        """Note that something else than the last step's velocity was commanded, to stop the arm.
+
+        The next step goes on from there, and leaves the path that was followed.
+
+        Args:
+            dq: (n,) that velocity [rad/s, m/s].
+            dt: how long it holds [s].
+        """
+        last = self._last
+        self._mean.start(self._mean.ticks, dq, dq - last.sent)
+        self._observer.commanded(dq, dt)
+        self._last = self._at_rest()._replace(
+            dq=self._mean.latest, sent=dq, before=last.sent, rushed=last.rushed)
+
+    def _posture(self, measured: Array, dt: float) -> Array:
+        """Return where the arm will be once all that was planned has been carried out (n,).
+
+        Where clearance took all acceleration, jerk gives way: what is planned is commanded as it
+        is, until the limits hold again with it.
+        """
+        ticks = 1 if self._last.rushed else self._ticks(dt)
+        if ticks != self._mean.ticks:
+            change = np.abs(self._last.sent - self._last.before) * ticks
+            if ticks == 1 or (change <= dt * self._limits.acceleration_max).all():
+                self._mean.start(ticks, self._last.sent)
+                self._last = self._last._replace(dq=self._last.sent)
+        return self._observer.sense(measured, dt) + self._mean.way_left(dt)
+
+    def _ticks(self, dt: float) -> int:
+        """Return over how many ticks the mean of planned velocities keeps the jerk limits."""
+        return window_of(self._reversal_time, dt) if self._filtered else 1
 
     @property
     def _busy(self) -> bool:

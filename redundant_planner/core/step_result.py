@@ -46,8 +46,10 @@ class StepResult(NamedTuple):
         nearest: the nearest pair, None without obstacles. Of many obstacles that are all too far
             away to matter, it may be another than the nearest.
         manipulability: Yoshikawa's measure, the product of J's singular values.
-        pose: the tip at the measured posture.
+        pose: the tip at the posture that the tick starts from: where the commands before it take
+            the arm.
         path_error: (6,) reference pose minus `pose` before this tick, in command axes [m, rad].
+        jerk_kept: whether the jerk limits hold; where something moves in, they give way.
     """
 
     dq: Array
@@ -63,3 +65,4 @@ class StepResult(NamedTuple):
     manipulability: float
     pose: Pose
     path_error: Array
+    jerk_kept: bool = True

@@ -62,6 +62,7 @@ class World(NamedTuple):
         turn: of the first joints, out of an obstacle's course.
         path: (n,) velocity of the joint path ahead; anything where it is not followed.
         guided: share of the homogeneous solution that follows it.
+        strayed: (n,) see `JointObserver`.
     """
 
     obstacles: InflatedObstacles
@@ -70,6 +71,7 @@ class World(NamedTuple):
     turn: Turn
     path: Vector
     guided: float
+    strayed: Vector
 
 
 class Wish(NamedTuple):
@@ -276,7 +278,9 @@ def wish(
     room = rows.room_for(
         len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 2, len(dq))
     found = barriers_in_compiled(room, len(room.gradient))
-    at = rows.obstacle_rows(found, 0, near, obstacles, gains.clearance_lead)
+    at = rows.obstacle_rows(
+        found, 0, near, obstacles, gains.clearance_lead,
+        rows.strayed_distances(world.strayed, constants))
     at = rows.turn_rows(found, at, turn, limits.velocity_max)
     at = rows.link_rows(found, at, own, constants)
     at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)

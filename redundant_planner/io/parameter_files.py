@@ -79,6 +79,11 @@ class RobotParameters:
         (5.0,), low=1e-6, high=1e6, unit='rad/s², m/s²',
         description='Largest joint acceleration: one value, or one per joint. Higher than the '
                     'drives can follow, and the arm overshoots limits and clearances.')
+    jerk_max: tuple[float, ...] = parameter(
+        (), low=1e-6, unit='rad/s³, m/s³',
+        description='Largest change of the acceleration: one value, or one per joint; .inf for no '
+                    'limit. Empty for 100/s times acceleration_max. Lower values move smoothly, '
+                    'and later by acceleration_max / jerk_max.')
     link_shapes: str = parameter(
         'fitted', choices=('fitted', 'straight'),
         description="Where no capsules are listed: fitted around the URDF's collision geometry "

@@ -54,7 +54,7 @@ class Robot(model.Robot):
         position_min: (n,) [rad, m], infinite for continuous joints.
         position_max: (n,) [rad, m], likewise.
         velocity_max: (n,) [rad/s, m/s].
-        acceleration_max: (n,) [rad/s², m/s²].
+        acceleration_max, jerk_max: (n,) [rad/s², m/s²; per s³].
         capsules: the link shapes.
     """
 
@@ -67,6 +67,7 @@ class Robot(model.Robot):
         command_frame: str = 'base',
         velocity_max: Sequence[float] | float | None = None,
         acceleration_max: Sequence[float] | float = 5.0,
+        jerk_max: Sequence[float] | float | None = None,
         capsules: Sequence[Capsule] | None = None,
         link_radius: float | None = None,
     ) -> Robot:
@@ -86,6 +87,8 @@ class Robot(model.Robot):
             command_frame: 'base' or 'tool', the axes in which a twist is expressed.
             velocity_max: replaces the URDF's limits, one value or n [rad/s, m/s].
             acceleration_max: one value or n [rad/s², m/s²]; a URDF has none. Ask the maker.
+            jerk_max: one value or n [rad/s³, m/s³]; None for 100/s times `acceleration_max`,
+                infinite for no limit.
             capsules: these link shapes instead of fitted ones.
             link_radius: straight capsules of this radius from joint to joint instead of fitted
                 ones [m]; 0 for bare lines.
@@ -102,7 +105,8 @@ class Robot(model.Robot):
             return cls(
                 urdf, tip_frame, base_frame=base_frame, locked_positions=locked_positions,
                 axes=axes, command_frame=command_frame, velocity_max=velocity_max,
-                acceleration_max=acceleration_max, capsules=shapes, link_radius=link_radius)
+                acceleration_max=acceleration_max, jerk_max=jerk_max, capsules=shapes,
+                link_radius=link_radius)
 
         if capsules is not None or link_radius is not None:
             return robot_with(capsules)
@@ -152,7 +156,8 @@ def build_robot(
             urdf, p.tip_frame, base_frame=p.base_frame,
             locked_positions=dict(zip(p.locked_joints, p.locked_positions)),
             axes=p.axes, command_frame=p.command_frame, velocity_max=p.velocity_max or None,
-            acceleration_max=p.acceleration_max, capsules=shapes, link_radius=p.link_radius)
+            acceleration_max=p.acceleration_max, jerk_max=p.jerk_max or None, capsules=shapes,
+            link_radius=p.link_radius)
 
     if p.capsules:
         return robot_with([_capsule(name, capsules.get(name, {})) for name in p.capsules])

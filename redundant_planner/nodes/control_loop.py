@@ -13,7 +13,7 @@ from redundant_planner.core.errors import ObstacleError, StateError
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import se3
-from redundant_planner.core.safety.limits import braked
+from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.payload import Payload
@@ -96,6 +96,7 @@ class ControlLoop:
         self._joints = JointReader(robot.joint_names)
         self._position_command = PositionCommand(
             robot.position_min, robot.position_max, _JUMP)
+        self._stop = SmoothStop(robot.acceleration_max, robot.jerk_max, self._period)
         self._last_command: Array | None = None  # velocities; None while the arm rests
         self._is_sent = False  # whether this tick's command is out
         self._no_time = ''  # why the loop's clock stands still
@@ -204,8 +205,9 @@ class ControlLoop:
         """Slow down within the acceleration limits; at rest, forget the command."""
         if self._last_command is None:
             return
-        dq = braked(self._last_command, self._robot.acceleration_max, self._period)
+        dq = self._stop.next()
         self._send(dq, TickKind.BRAKING)
+        self.planner.braked(dq, self._period)
         if not dq.any():
             self._last_command = None
             self.command.forget()
@@ -227,6 +229,7 @@ class ControlLoop:
         result = self.planner.step(posture, twist, self.obstacles.scene, self._period, ahead)
         if not np.isfinite(result.dq).all():
             raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
+        self._stop.moving(result.dq)
         self._send(result.dq, kind, twist, ahead)
         if kind is TickKind.STARTING:
             self._say_what_touches(posture)

@@ -105,8 +105,8 @@ class PlannerNode(EndableNode):
             {name: self.resolve_topic_name(name)
              for name in ('joint_command', *settings.outputs)},
             settings.outputs, robot.joint_names, robot.position_min.tolist(),
-            robot.position_max.tolist(), robot.acceleration_max.tolist(), 1.0 / settings.rate,
-            settings.thread_priority)
+            robot.position_max.tolist(), robot.acceleration_max.tolist(),
+            robot.jerk_max.tolist(), 1.0 / settings.rate, settings.thread_priority)
 
     def _make_loop(self, planner: Planner | PaperPlanner) -> ControlLoop:
         """Return the loop with its inputs and its output."""

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from redundant_planner.core.safety.limits import braked
+from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.nodes import runtime
 from redundant_planner.nodes.command_memory import (
@@ -64,7 +64,7 @@ class Brief:
         topics: name of an output → the topic that it is published on.
         outputs: besides joint_command, as `CommandOutput` takes them.
         joint_names: n of them.
-        position_min, position_max, acceleration_max: n each [rad, m; per s²].
+        position_min, position_max, acceleration_max, jerk_max: n each [rad, m; per s²; per s³].
         period: between commands [s].
         priority: real-time priority of its threads, 0 for none.
     """
@@ -77,6 +77,7 @@ class Brief:
     position_min: Sequence[float]
     position_max: Sequence[float]
     acceleration_max: Sequence[float]
+    jerk_max: Sequence[float]
     period: float
     priority: int
 
@@ -148,7 +149,10 @@ def speak(
         clock, sleep: of the system [s].
     """
     dq, positions = last.velocities, last.positions
-    acceleration_max = np.array(brief.acceleration_max)
+    stop = SmoothStop(
+        np.array(brief.acceleration_max), np.array(brief.jerk_max), brief.period)
+    stop.moving(last.before)
+    stop.moving(dq)
     command = PositionCommand(np.array(brief.position_min), np.array(brief.position_max), np.inf)
     due = last.time + brief.period
     if clock() - last.time > _STALE:
@@ -159,7 +163,7 @@ def speak(
 
     while dq.any():
         sleep(max(due - clock(), 0.0))
-        dq = braked(dq, acceleration_max, brief.period)
+        dq = stop.next()
         positions = command.advance(last.positions, dq, brief.period, known=False)
         now = clock()
         due = now + brief.period

@@ -77,6 +77,10 @@ class PaperPlanner:
         """Have `Nearest` tell of what the hand holds, too; Eq. 7 minds the joints alone."""
         self.robot = self.robot.holding(things)
 
+    def braked(self, dq: Array, dt: float) -> None:
+        """Leave the path that was followed: something else was commanded, to stop the arm."""
+        self.reset()
+
     def prepare(self, scene: Scene) -> None:
         """Do nothing: a new scene costs nothing ahead."""
 

@@ -20,7 +20,7 @@ from redundant_planner.core.errors import ObstacleError, ParameterError, Planner
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters, ros_name
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.safety.limits import braked
+from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
@@ -103,6 +103,7 @@ def _rows(
     dt = 1.0 / rate_of(values)
     q: Array = ticks[0][1].q
     dq: Array = np.zeros(robot.n)
+    stop = SmoothStop(robot.acceleration_max, robot.jerk_max, dt)
     # Ticks that are made up start again after every pause, where the arm was then.
     made_up = not inputs.ticks
     applied = held = 0
@@ -124,13 +125,15 @@ def _rows(
         payload.tracker.expire(previous)
         _hold(payload, planner, book)
         if tick.kind == TickKind.BRAKING and measured:
-            dq = braked(dq, robot.acceleration_max, dt)
+            dq = stop.next()
+            planner.braked(dq, dt)
         else:
             if tick.kind == TickKind.STARTING and (measured or made_up or i == 0):
                 planner.reset()
                 q = tick.q
             book.expire(tick.time)
             dq = planner.step(q, tick.twist, book.scene, dt, _ahead(inputs, tick)).dq
+            stop.moving(dq)
         positions[i], velocities[i] = q, dq
         q, previous = q + dt * dq, tick.time
     return Replay(np.array([time for time, _ in ticks]), positions, velocities,

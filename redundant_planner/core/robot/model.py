@@ -41,6 +41,11 @@ Arm = TypeVar('Arm', bound='Robot')
 
 # The planner's arithmetic keeps its digits within these [rad/s, m/s; per s²].
 _SLOWEST, _FASTEST = 1e-6, 1e6
+# Jerk limits where none are given, as a multiple of the acceleration limits [1/s]: MoveIt's for
+# joints of unknown limits, 1000 rad/s³ beside 10 rad/s².
+_JERK = 100.0
+# How long a joint may need to turn its acceleration round at most [s].
+_LONGEST_RAMP = 1.0
 
 
 class Robot:
@@ -56,7 +61,8 @@ class Robot:
         in_tool: whether that is the tool frame.
         rows: (m,) which of the six axes are controlled.
         position_min, position_max: (n,) [rad, m], infinite for continuous joints.
-        velocity_max, acceleration_max: (n,) [rad/s, m/s; per s²].
+        velocity_max, acceleration_max, jerk_max: (n,) [rad/s, m/s; per s²; per s³], the last may
+            be infinite.
         capsules: the link shapes, then those of what the hand holds.
         self_pairs: (p, 2) indices of the capsules that can run into each other.
         supports: (c, n) 1 where a joint moves a capsule, else 0.
@@ -77,6 +83,7 @@ class Robot:
         command_frame: str = 'base',
         velocity_max: Sequence[float] | float | None = None,
         acceleration_max: Sequence[float] | float = 5.0,
+        jerk_max: Sequence[float] | float | None = None,
         capsules: Sequence[Capsule] | None = None,
         link_radius: float | None = None,
     ) -> None:
@@ -94,6 +101,8 @@ class Robot:
             command_frame: 'base' or 'tool', see the class.
             velocity_max: replaces the URDF's velocity limits, one value or n [rad/s, m/s].
             acceleration_max: one value or n [rad/s², m/s²] (a URDF has none).
+            jerk_max: one value or n [rad/s³, m/s³]; infinite for none. If None, 100/s times
+                `acceleration_max`.
             capsules: the link shapes; an empty list leaves every link unprotected.
             link_radius: where `capsules` is None, the radius of straight capsules from each
                 joint origin to the next [m]; 0 for bare lines.
@@ -125,6 +134,8 @@ class Robot:
         self.velocity_max = self._limits(
             'velocity_max', self._model.velocityLimit if velocity_max is None else velocity_max)
         self.acceleration_max = self._limits('acceleration_max', acceleration_max)
+        self.jerk_max = self._jerk_limits(
+            _JERK * self.acceleration_max if jerk_max is None else jerk_max)
 
         self._tip_id = link_id(self._model, tip_frame)
         self.rows = np.array([AXES.index(axis) for axis in self.axes], dtype=np.intp)
@@ -304,13 +315,27 @@ class Robot:
         while True:
             yield self.kinematics(random.uniform(low, high))
 
-    def _limits(self, what: str, values: Sequence[float] | float) -> Array:
+    def _jerk_limits(self, values: Sequence[float] | float | Array) -> Array:
+        limits = self._one_or_n('jerk_max', values)
+        for name, limit, acceleration in zip(self.joint_names, limits, self.acceleration_max):
+            least = 2.0 * acceleration / _LONGEST_RAMP
+            if not limit >= least:
+                raise RobotError(
+                    f"jerk_max of joint '{name}' is {limit}; beside an acceleration_max of "
+                    f'{acceleration:g} it must be {least:g} or more, so that the joint turns its '
+                    f'acceleration round within {_LONGEST_RAMP:g} s')
+        return _read_only(limits)
+
+    def _one_or_n(self, what: str, values: Sequence[float] | float | Array) -> Array:
         limits = floats_of(values)
         if limits.ndim > 1 or limits.size not in (1, self.n):
             raise RobotError(
                 f'{what} has {limits.size} values; it takes 1 or {self.n}, one per joint: '
                 f'{known(self.joint_names)}')
-        limits = np.broadcast_to(limits.reshape(-1), (self.n,)).copy()
+        return np.broadcast_to(limits.reshape(-1), (self.n,)).copy()
+
+    def _limits(self, what: str, values: Sequence[float] | float) -> Array:
+        limits = self._one_or_n(what, values)
         for name, limit in zip(self.joint_names, limits):
             if not _SLOWEST <= limit <= _FASTEST:
                 raise RobotError(

@@ -40,6 +40,8 @@ OBSTACLE, TURN, LINK, SINGULARITY, SELF_MOTION = range(5)
 _FOUND_INSIDE = 1e-3
 # The singularity barrier is looked at below this multiple of its margin.
 _SINGULARITY_NEAR = 5.0
+# Links that have strayed less than this count as in place: the rest of the noise [m].
+_IN_PLACE = 5e-4
 # How exactly a turn is made, as a share of a joint's speed limit.
 _TURN_TOLERANCE = 0.005
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
@@ -162,8 +164,26 @@ def room_for(rows: int, n: int) -> Rows:
 
 
 @kernel
+def strayed_distances(strayed: Vector, constants: RobotConstants) -> Vector:
+    """Return how far (c,) each link may be from where it is thought to be [m].
+
+    Args:
+        strayed: (n,) of the joints [rad, m].
+        constants: of the robot.
+    """
+    distances = np.empty(len(constants.radii))
+    for link in range(len(distances)):
+        distances[link] = -_IN_PLACE
+        for j in range(len(strayed)):
+            distances[link] += constants.lever_arm_bounds[link, j] * abs(strayed[j])
+        distances[link] = max(distances[link], 0.0)
+    return distances
+
+
+@kernel
 def obstacle_rows(
     rows: Barriers, at: int, near: NearPairs, maps: InflatedObstacles, lead: float,
+    strayed: Vector,
 ) -> int:
     """Write a row for every link and obstacle whose barrier could act; return the next row.
 
@@ -174,6 +194,8 @@ def obstacle_rows(
         rows, at: where to, from which row on.
         near, maps: the pairs, and the obstacles.
         lead: time over which the way of moving obstacles is kept as spare distance [s].
+        strayed: (c,) how far each link may be from where it is thought to be [m]: that much
+            clearance is not there to be used up.
     """
     for pair in near.acting:
         link, obstacle = near.links[pair], near.obstacles[pair]
@@ -181,6 +203,9 @@ def obstacle_rows(
         rows.time_derivative[at], rows.value[at] = near.rate[pair], near.normalized_distance[pair]
         if maps.may_touch[link, obstacle]:
             rows.value[at] = max(rows.value[at], 0.0)
+        elif rows.value[at] > 0.0:
+            rows.value[at] = max(
+                rows.value[at] - strayed[link] / maps.smallest[link, obstacle], 0.0)
         rows.spare[at] = lead * maps.speeds[obstacle] / maps.smallest[link, obstacle]
         rows.kind[at], rows.first[at], rows.second[at] = OBSTACLE, link, obstacle
         at += 1
