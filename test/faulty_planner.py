@@ -11,7 +11,7 @@ import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, String
 
-from redundant_planner.nodes import control_loop, runtime
+from redundant_planner.nodes import runtime
 from redundant_planner.nodes.last_word import LastWord
 from redundant_planner.nodes.planner_node import PlannerNode
 
@@ -66,15 +66,15 @@ class FaultyPlannerNode(PlannerNode):
     def break_braking(self):
         """Break a tick, and then the braking as well, for a while."""
         self.break_tick()
-        good, left = control_loop.braked, [3]
+        good, left = self.loop._stop.next, [3]
 
-        def braked(*arguments):
+        def braked():
             left[0] -= 1
             if left[0] >= 0:
                 raise ZeroDivisionError('bad braking')
-            return good(*arguments)
+            return good()
 
-        control_loop.braked = braked
+        self.loop._stop.next = braked
 
     def break_segfault(self):
         os.kill(os.getpid(), signal.SIGSEGV)

@@ -31,7 +31,7 @@ from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, window_of
-from redundant_planner.core.safety.limits import slowed_limits
+from redundant_planner.core.safety.limits import can_stop, slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
 from redundant_planner.core.step_result import Nearest, StepResult
@@ -45,6 +45,8 @@ _ABSURD = 1e100
 _STANDSTILL = 1e-12
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
 _MANY_DISTANCES = 3000
+# How long clearance goes before jerk after a tick in which it could not be kept [s].
+_RUSH = 0.1
 
 
 class _LastTick(NamedTuple):
@@ -56,7 +58,7 @@ class _LastTick(NamedTuple):
         reference: pose that the tip should have now; None after a reset, for the tip's own.
         followed: (m,) the part of the path that was followed.
         leaving: whether the arm is leaving its path to evade something.
-        rushed: whether clearance took all the acceleration that there is.
+        rush: for how long clearance still goes before jerk [s].
     """
 
     dq: Array
@@ -65,7 +67,7 @@ class _LastTick(NamedTuple):
     reference: Pose | None
     followed: Array
     leaving: bool
-    rushed: bool
+    rush: float
 
 
 class Planner:
@@ -165,7 +167,7 @@ class Planner:
 
     def _at_rest(self) -> _LastTick:
         still = np.zeros(self.robot.n)
-        return _LastTick(still, still, still, None, np.zeros(self.robot.m), False, False)
+        return _LastTick(still, still, still, None, np.zeros(self.robot.m), False, 0.0)
 
     @property
     def reference(self) -> Pose | None:
@@ -226,6 +228,9 @@ class Planner:
             result = self._filter(desired, start)
             reason = self._reason(result, desired, around, commanded, dt)
         fallbacks = self._fallbacks(result, desired, path is None, crowded)
+        jerk_kept = self._mean.ticks >= self._ticks(dt)
+        reasons = [*fallbacks, *([reason] if reason else []),
+                   *([] if jerk_kept else ['jerk gives way to a clearance'])]
 
         # Remember: where the tip should be, and how fast the arm is.
         followed, reached = self._followed(result, desired, arm.jacobian, dt)
@@ -234,13 +239,12 @@ class Planner:
         self._last = _LastTick(
             result.dq, sent, last.sent, reached, followed,
             result.stage in (Stage.YIELDING, Stage.FORCED),
-            result.stage is Stage.FORCED and desired.intruded)
+            _RUSH if result.stage is Stage.FORCED and desired.intruded else last.rush - dt)
         return StepResult(
             sent.copy(), desired.least_norm, desired.homogeneous, desired.factor,
-            result.scale, result.stage, '; '.join([*fallbacks, reason] if reason else fallbacks),
-            '; '.join(fallbacks), desired.clearance_index, self._nearest(desired, around),
-            desired.manipulability, pose, desired.task.error,
-            self._mean.ticks >= self._ticks(dt))
+            result.scale, result.stage, '; '.join(reasons), '; '.join(fallbacks),
+            desired.clearance_index, self._nearest(desired, around),
+            desired.manipulability, pose, desired.task.error, jerk_kept)
 
     def braked(self, dq: Array, dt: float) -> None:
         """Note that something else than the last step's velocity was commanded, to stop the arm.
@@ -255,21 +259,23 @@ class Planner:
         self._mean.start(self._mean.ticks, dq, dq - last.sent)
         self._observer.commanded(dq, dt)
         self._last = self._at_rest()._replace(
-            dq=self._mean.latest, sent=dq, before=last.sent, rushed=last.rushed)
+            dq=self._mean.latest, sent=dq, before=last.sent, rush=last.rush - dt)
 
     def _posture(self, measured: Array, dt: float) -> Array:
         """Return where the arm will be once all that was planned has been carried out (n,).
 
-        Where clearance took all acceleration, jerk gives way: what is planned is commanded as it
-        is, until the limits hold again with it.
+        Where clearance could not be kept, jerk gives way: what is planned is commanded as it is.
         """
-        ticks = 1 if self._last.rushed else self._ticks(dt)
+        last, posture = self._last, self._observer.sense(measured, dt)
+        ticks = 1 if last.rush > 0.0 else self._ticks(dt)
         if ticks != self._mean.ticks:
-            change = np.abs(self._last.sent - self._last.before) * ticks
-            if ticks == 1 or (change <= dt * self._limits.acceleration_max).all():
-                self._mean.start(ticks, self._last.sent)
-                self._last = self._last._replace(dq=self._last.sent)
-        return self._observer.sense(measured, dt) + self._mean.way_left(dt)
+            mean = MeanVelocity(self.robot.n)
+            mean.start(ticks, last.sent, last.sent - last.before)
+            # The present acceleration fades in its time: not into a joint limit.
+            if ticks == 1 or can_stop(
+                    posture + mean.way_left(dt), mean.latest, self._limits, dt):
+                self._mean, self._last = mean, last._replace(dq=mean.latest)
+        return posture + self._mean.way_left(dt)
 
     def _ticks(self, dt: float) -> int:
         """Return over how many ticks the mean of planned velocities keeps the jerk limits."""

@@ -48,8 +48,8 @@ _GONE = {
     **dict.fromkeys(('safety_filter', 'clearance_points'),
                     "the paper's method to the letter is 'method: paper' now"),
 }
-# The first parts of grouped names.
-GROUPS = tuple(sorted({name.partition('.')[0] for name in RENAMED.values()}))
+# The first parts of grouped names, of those that came later too.
+GROUPS = tuple(sorted({'drive', *(name.partition('.')[0] for name in RENAMED.values())}))
 
 
 def what_became_of(name: str) -> str:

@@ -82,7 +82,7 @@ class CommandInput:
         if preview is None or elapsed > preview.times[-1] or not self._is_fresh(timeout):
             return None
         self._ahead_at = elapsed
-        return lambda times: preview.between(times + elapsed)
+        return preview.ahead(elapsed)
 
     def _is_fresh(self, timeout: float) -> bool:
         """Return whether the command counts; one in the future is of a clock that was set back."""

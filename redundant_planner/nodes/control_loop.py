@@ -229,14 +229,15 @@ class ControlLoop:
         result = self.planner.step(posture, twist, self.obstacles.scene, self._period, ahead)
         if not np.isfinite(result.dq).all():
             raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
-        self._stop.moving(result.dq)
         self._send(result.dq, kind, twist, ahead)
+        self._stop.moving(result.dq)
         if kind is TickKind.STARTING:
             self._say_what_touches(posture)
         before = self.state.result
         if result.reason and not (before is not None and before.reason):
             self._warn(result.reason)
         self.state.result = result
+        self.state.jerk_given_up += not result.jerk_kept
 
     def _posture(self) -> Array:
         posture = self.supervisor.posture

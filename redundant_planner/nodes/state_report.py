@@ -30,6 +30,7 @@ class LoopState:
         result: of the last tick, None before the first.
         tick_times: of the ticks since the last report [s].
         overruns: ticks that took longer than the period, since the start.
+        jerk_given_up: ticks in which the jerk limits gave way to a clearance, since the start.
         faults, last_fault: number of unforeseen exceptions since the start, and the latest one.
         last_word: state of the process that stops the arm should this one die.
         joint_state_age, command_age, obstacle_age: [s], infinite before the first message.
@@ -41,6 +42,7 @@ class LoopState:
     result: StepResult | None = None
     tick_times: deque[float] = field(default_factory=lambda: deque(maxlen=_TICKS))
     overruns: int = 0
+    jerk_given_up: int = 0
     faults: int = 0
     last_fault: str = ''
     last_word: str = 'starting'
@@ -82,6 +84,7 @@ def status_of(
         'tick time, median [us]': _number(1e6, np.median, state.tick_times),
         'tick time, longest [us]': _number(1e6, np.max, state.tick_times),
         'overruns': str(state.overruns),
+        'ticks without jerk limits': str(state.jerk_given_up),
         'faults': str(state.faults),
         'last fault': state.last_fault,
         'last word': state.last_word,

@@ -158,7 +158,7 @@ def _ahead(inputs: Inputs, tick: RecordedTick) -> TwistAhead | None:
     preview, elapsed = inputs.previews[tick.preview_messages - 1][2], tick.preview_elapsed
     if elapsed > preview.times[-1]:
         return None
-    return lambda times: preview.between(times + elapsed)
+    return preview.ahead(elapsed)
 
 
 def write_replay(path: Path, inputs: Inputs, replay: Replay, origin_ns: int, text: str) -> None:

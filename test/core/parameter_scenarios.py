@@ -75,6 +75,21 @@ def free_position(parameters):
     return move(parameters, 'panda_position', PANDA_READY, (0.0, 0.1, -0.05), 3.0)
 
 
+def with_slow_drives(parameters, lag=0.06, dead_time=0.04):
+    """The Panda's tip to and fro, driven late; quantities see what it was told to do."""
+    robot, q, speed = ROBOTS['panda'], np.array(PANDA_READY), np.zeros(7)
+    planner, late = Planner(robot, parameters), [np.zeros(7)] * round(dead_time / DT)
+    postures, results = [q], []
+    for tick in range(round(3.0 / DT)):
+        twist = np.array([0.0, 0.2, -0.1, 0.0, 0.0, 0.0]) * np.sin(4.0 * tick * DT)
+        results.append(planner.step(q, twist, Scene.of(), DT))
+        late.append(results[-1].dq)
+        speed = speed + (late.pop(0) - speed) * DT / lag
+        q = q + DT * speed
+        postures.append(q)
+    return Motion(robot, np.array(postures), results, ())
+
+
 def free_announced(parameters):
     """The same line with the paper arm, announced."""
     return move(parameters, 'paper', PAPER_START, (0.0, 0.1, -0.05), 3.0, known=True)

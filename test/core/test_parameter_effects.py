@@ -49,6 +49,7 @@ from parameter_scenarios import (
     pushed_far,
     stretching,
     towards_a_ball,
+    with_slow_drives,
 )
 import pytest
 
@@ -63,6 +64,7 @@ EQ_2 = PlannerParameters(horizon_look_ahead=0.0)
 NO_CLEARANCE = replace(EQ_2, criteria_k_w=0.0)
 ONLY_CLEARANCE = replace(EQ_2, criteria_k_f=0.0)
 FIXED = PlannerParameters(method='gradient_projection')
+LAG, DEAD_TIME = PlannerParameters(drive_lag=0.06), PlannerParameters(drive_dead_time=0.04)
 VARIATIONAL = PlannerParameters(method='variational')
 # Where the filter lets the arm into a singularity, and damping is what is left.
 SINGULAR = PlannerParameters(singularity_margin=0.0)
@@ -84,12 +86,14 @@ class Case:
 CASES = [
     Case('method', 'gradient_projection', 'dynamic_factor', held_up, time_lost, '-'),
     Case('method', 'gradient_projection', 'variational', held_up, time_lost, '-'),
-    Case('method', 'dynamic_factor', 'variational', free_announced, effort, '-'),
+    Case('method', 'dynamic_factor', 'variational', free_announced, effort, '-', EQ_2),
     Case('method', 'paper', 'dynamic_factor', towards_a_ball, smallest_distance, '+'),
     Case('method', 'paper_gradient_projection', 'gradient_projection', towards_a_ball,
          smallest_distance, '+'),
     Case('path_priority', 'strict', 'yield', into_the_forearm, smallest_distance, '+'),
     Case('path_priority', 'strict', 'yield', into_the_forearm, largest_path_error, '+'),
+    Case('drive_lag', 0.0, 0.06, with_slow_drives, largest_path_error, '-', DEAD_TIME),
+    Case('drive_dead_time', 0.0, 0.04, with_slow_drives, largest_path_error, '-', LAG),
     Case('criteria_k_alpha', 0.2, 0.9, held_up, null_space_share, '+', EQ_2),
     Case('criteria_k_alpha', 0.2, 0.9, held_up, time_lost, '-', EQ_2),
     Case('criteria_k_alpha', 0.9, 3.0, held_up, path_length, '+', EQ_2),

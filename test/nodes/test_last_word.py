@@ -12,9 +12,9 @@ import pytest
 from redundant_planner.nodes.command_memory import CommandMemory, NotedCommand
 from redundant_planner.nodes.second_process import Brief, speak, STOPS
 
-PERIOD, LIMITS = 0.004, np.array([2.0, 5.0, 0.5])
+PERIOD, LIMITS, JERK = 0.004, np.array([2.0, 5.0, 0.5]), np.array([100.0, 300.0, 20.0])
 BRIEF = Brief('planner_node', '/', {}, (), ('a', 'b', 'c'), (-1.0,) * 3, (1.0,) * 3,
-              tuple(LIMITS), PERIOD, 0)
+              tuple(LIMITS), tuple(JERK), PERIOD, 0)
 VELOCITIES = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
 
 
@@ -37,21 +37,26 @@ class Listener:
         self.now += seconds
 
 
-def spoken(velocities, **times):
+def spoken(velocities, change=0.0, **times):
     listener = Listener(**times)
-    last = NotedCommand(10.0, 5_000_000_000, np.zeros(3), velocities)
+    last = NotedCommand(
+        10.0, 5_000_000_000, np.zeros(3), velocities, velocities - change * LIMITS * PERIOD)
     speak(BRIEF, last, listener, 1, lambda: listener.now, listener.sleep)
     return listener.heard
 
 
-@given(VELOCITIES, st.floats(0.0, 0.1))
-def test_it_brakes_within_the_limits_and_ends_in_a_stop(velocities, late):
-    heard = spoken(velocities, late=late)
+@given(VELOCITIES, st.floats(0.0, 0.1), st.floats(-1.0, 1.0))
+def test_it_brakes_within_the_limits_and_ends_in_a_stop(velocities, late, change):
+    heard = spoken(velocities, change, late=late)
     times = np.array([10.0, *(now for now, *_ in heard)])
     commanded = np.array([velocities, *(dq for *_, dq in heard)])
     assert not commanded[-STOPS:].any()
     assert (np.diff(times)[1:] >= 0.999 * PERIOD).all() and times[1] - 10.0 >= 0.999 * PERIOD
     assert (np.abs(np.diff(commanded, axis=0)) <= LIMITS * PERIOD * (1.0 + 1e-9)).all()
+    if velocities.any():
+        changes = np.vstack((change * LIMITS * PERIOD, np.diff(commanded, axis=0)))
+        jerk = np.diff(changes, axis=0) / PERIOD**2
+        assert (np.abs(jerk) <= JERK * (1.0 + 1e-9) + 1e-6).all()
     np.testing.assert_allclose([stamp / 1e9 for _, stamp, *_ in heard], times[1:] - 5.0)
 
 
@@ -84,6 +89,7 @@ def test_a_note_that_is_not_finished_leaves_the_one_before(notes):
             assert latest.stamp_ns == i
             np.testing.assert_array_equal(latest.velocities, dq)
             np.testing.assert_array_equal(latest.positions, 2.0 * dq)
+            np.testing.assert_array_equal(latest.before, notes[i - 1] if i else np.zeros(3))
 
 
 @pytest.mark.parametrize('joints, fits', [(7, True), (1000, True), (10_000, False)])

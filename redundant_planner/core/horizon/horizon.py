@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
 from redundant_planner.core.horizon.multi_start import MultiStart
-from redundant_planner.core.horizon.path_qp import PathQP, Plan
-from redundant_planner.core.horizon.poses_ahead import middles, Poses
+from redundant_planner.core.horizon.path_qp import moved_on, PathQP, Plan
+from redundant_planner.core.horizon.poses_ahead import Poses
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.robot.model import Robot
 
@@ -36,17 +36,15 @@ class Horizon:
 
     Attributes:
         times: (N + 1,) of the nodes, from now [s].
-        middles: (N,) half way between them [s].
     """
 
     def __init__(self, robot: Robot, times: Array, joints: PathJoints) -> None:
         """Prepare for an arm and times (N + 1,) ahead, from `node_times`."""
-        self.times, self.middles = times, middles(times)
+        self.times, self._longest = times, times
         self._robot, self._joints = robot, joints
         self._problem = PathQP(robot, times, joints)
         self._search = MultiStart(self._problem)
-        self._stiffness = 1.0 / float(times[1] - times[0])
-        self._moving_on: tuple[float, Array] | None = None
+        self._fading = 1.0 - times[1:] / times[-1]
         self.reset()
 
     @property
@@ -63,6 +61,15 @@ class Horizon:
     def cut_short(self) -> bool:
         """Whether the last tick's problem took more iterations than it may."""
         return self._problem.cut_short
+
+    def reach(self, rest: float, dt: float) -> None:
+        """Have the nodes reach no further than a time `rest` from now [s].
+
+        The first is never nearer than a tick of dt [s].
+        """
+        longest = self._longest
+        share = max(min(rest / longest[-1], 1.0), dt / longest[1])
+        self.times = self._problem.times = longest if share >= 1.0 else share * longest
 
     def reset(self) -> None:
         """Forget the plan and the search."""
@@ -94,7 +101,7 @@ class Horizon:
         self._step(q, poses, obstacles)
         if self._plan is None:
             return None
-        return (self._plan.nodes[0] - q) * self._stiffness
+        return (self._plan.nodes[0] - q) / float(self.times[1])
 
     def _step(self, q: Array, poses: Poses, obstacles: InflatedObstacles) -> None:
         """Give one step to the plan, to the search or to what it has found."""
@@ -106,8 +113,8 @@ class Horizon:
         else:
             found = self._search.step(q, poses, obstacles, self._closest)
             if found is not None:
-                nodes, age = found
-                self._found, self._settled = self._moved_on(Plan(nodes), q, age), 0
+                plan, age = found
+                self._found, self._settled = self._moved_on(plan, q, age), 0
 
     @property
     def _blocked(self) -> bool:
@@ -151,9 +158,11 @@ class Horizon:
             self._found = self._problem.improved(found, local)
 
     def _moved_on(self, plan: Plan, q: Array, dt: float) -> Plan:
-        """Return a plan at the new times, by interpolation."""
-        if self._moving_on is None or self._moving_on[0] != dt:
-            self._moving_on = dt, np.array([
-                np.interp(self.times[1:] + dt, self.times, row)
-                for row in np.eye(len(self.times))]).T
-        return plan._replace(nodes=self._moving_on[1] @ np.concatenate((q[None], plan.nodes)))
+        """Return a plan at the new times, by interpolation.
+
+        An arm that is beside its plan takes the plan along, or the plan's velocity would change
+        with every tick that does not improve it.
+        """
+        moved = moved_on(plan.start, plan.nodes, plan.times, self.times + dt)
+        return plan._replace(
+            nodes=moved[1:] + np.outer(self._fading, q - moved[0]), start=q, times=self.times)

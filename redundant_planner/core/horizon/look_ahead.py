@@ -14,8 +14,8 @@ import numpy.typing as npt
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.least_norm_path import PathJoints
-from redundant_planner.core.horizon.poses_ahead import node_times, poses_ahead
-from redundant_planner.core.horizon.preview import continued, Preview, TwistAhead
+from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
+from redundant_planner.core.horizon.preview import continued, Preview, PreviewAhead, TwistAhead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy.reference import reference_of, Start
@@ -37,6 +37,11 @@ _NO_SPEED = 1e-24
 # How long dynamic_factor takes to switch to the joint path ahead, and back [s]; and the share of
 # it that remains while the path might come of use again.
 _SWITCH_TIME, _RETURN_TIME, _STANDBY = 0.1, 1.0, 1e-3
+# How long it stays with the path once the way is free without it: a way that is blocked in every
+# other tick must not make it switch as often [s].
+_STAY = 0.3
+# Time over which the velocity of the path is averaged [s].
+_SMOOTHING_TIME = 0.04
 
 
 class LookAhead:
@@ -64,11 +69,13 @@ class LookAhead:
         """Forget the path, and what it was planned for."""
         self.guided = 1.0 if self._always else 0.0
         self._horizon: Horizon | None = None
+        self._wanted: Array | None = None
         self._velocity: Array | None = None
         self._has_planned = False
         self._age = 0.0  # of the path, or of the attempt to find one [s]
         self._command: Array = np.zeros(6)
         self._growth = 0.0
+        self._stay = 0.0
 
     @property
     def cut_short(self) -> bool:
@@ -99,7 +106,7 @@ class LookAhead:
         self._age += start.dt
         if self._has_planned and (
                 self._age < _PLANNING_PERIOD or (busy and self._age < _OLDEST_PATH)):
-            return self._velocity
+            return self._smoothed(start.dt)
         elapsed, self._age, self._has_planned = self._age, 0.0, True
         growth = self._growth_of(start.command, elapsed)
         horizon = self._horizons[ahead is None]
@@ -107,15 +114,27 @@ class LookAhead:
             self._horizon = horizon
             horizon.reset()
 
+        if isinstance(ahead, Preview):
+            ahead = ahead.ahead(0.0)
+        # A node that slid over the end of the motion would make the path another one each time.
+        horizon.reach(ahead.rest if isinstance(ahead, PreviewAhead) else math.inf, start.dt)
         times = horizon.times
         if ahead is None:
-            twists = continued(start.command, growth, horizon.middles)
+            twists = continued(start.command, growth, middles(times))
         else:
-            between = ahead.between if isinstance(ahead, Preview) else ahead
-            twists = self._controlled * between(times)
+            twists = self._controlled * ahead(times)
         reference = reference_of(start, self._constants, self._gains)
         poses = poses_ahead(reference, twists, times, self._robot.in_tool)
-        self._velocity = horizon.advance(start.arm.q, poses, obstacles, elapsed)
+        self._wanted = horizon.advance(start.arm.q, poses, obstacles, elapsed)
+        return self._smoothed(start.dt)
+
+    def _smoothed(self, dt: float) -> Array | None:
+        """Return the path's velocity (n,), smoothed: another path may take another direction."""
+        if self._wanted is None or self._velocity is None:
+            self._velocity = self._wanted
+        else:
+            share = 1.0 - math.exp(-dt / _SMOOTHING_TIME)
+            self._velocity = self._velocity + share * (self._wanted - self._velocity)
         return self._velocity
 
     def switch(self, blocked: bool, dt: float) -> None:
@@ -125,7 +144,9 @@ class LookAhead:
         """
         if self._always:
             return
-        if blocked and (self._horizon is None or self._horizon.free):
+        self._stay = _STAY if blocked and (
+            self._horizon is None or self._horizon.free) else self._stay - dt
+        if self._stay > 0.0:
             self.guided = min(self.guided + dt / _SWITCH_TIME, 1.0)
         elif self.guided > 0.0:
             least = _STANDBY if blocked else 0.0

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import least_norm_path
-from redundant_planner.core.horizon.path_qp import intrusion_price, PathQP
+from redundant_planner.core.horizon.path_qp import intrusion_price, PathQP, Plan
 from redundant_planner.core.horizon.poses_ahead import Poses
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -36,7 +36,7 @@ class _Search:
     """What has been seen so far, on a snapshot of the problem.
 
     Attributes:
-        q, poses, obstacles: the snapshot.
+        q, poses, times, obstacles: the snapshot.
         aside: (n,) the direction looked in; its projection on the null space counts.
         size: of a step aside [rad, m].
         start: (n,) where the next path starts.
@@ -47,6 +47,7 @@ class _Search:
 
     q: Array
     poses: Poses
+    times: Array
     obstacles: InflatedObstacles
     aside: Array
     size: float
@@ -61,7 +62,6 @@ class MultiStart:
     def __init__(self, problem: PathQP) -> None:
         """Prepare for one arm's problem."""
         self._problem = problem
-        self._stiffness = 1.0 / np.diff(problem.times)
         self.reset()
 
     def reset(self) -> None:
@@ -81,7 +81,7 @@ class MultiStart:
 
     def step(
         self, q: Array, poses: Poses, obstacles: InflatedObstacles, away: Array | None,
-    ) -> tuple[Array, float] | None:
+    ) -> tuple[Plan, float] | None:
         """Look at one more path; at a search's end, return the cheapest way and its age.
 
         Args:
@@ -90,7 +90,7 @@ class MultiStart:
                 None if it is close to nothing.
 
         Returns:
-            Postures (N, n) and how long ago they were due [s]; None before the end.
+            A plan, and how long ago it was to start [s]; None before the end.
         """
         if self._search is None:
             # Away from the obstacle that the plan is closest to, or just anywhere.
@@ -99,13 +99,14 @@ class MultiStart:
                 aside = away
             size = _SIDE_STEP_SIZES[self._searches % len(_SIDE_STEP_SIZES)]
             self._searches += 1
-            self._search = _Search(q, poses, obstacles, aside, size, q)
+            self._search = _Search(
+                q, poses, self._problem.times, obstacles, aside, size, q)
         search, problem = self._search, self._problem
         nodes = least_norm_path(problem.robot, search.start, search.poses, problem.joints)
-        search.paths.append((nodes, self._price(nodes, search.obstacles)))
+        search.paths.append((nodes, self._price(nodes, search)))
         if len(search.paths) > 2 * _SIDE_STEPS:
             self._search = None
-            return self._cheapest(search), search.elapsed
+            return Plan(self._cheapest(search), search.q, search.times), search.elapsed
         if len(search.paths) == _SIDE_STEPS + 1:
             search.start, search.aside = search.q, -search.aside
         search.start, search.aside = self._side_step(search.start, search.aside, search.size)
@@ -121,23 +122,23 @@ class MultiStart:
         pose = Poses(arm.tip_position[None], arm.tip_rotation[None])
         return least_norm_path(robot, q + size * step, pose, joints)[0], step
 
-    def _price(self, nodes: Array, obstacles: InflatedObstacles) -> Array:
+    def _price(self, nodes: Array, search: _Search) -> Array:
         """Return the price of being at postures (N, n), (N,)."""
-        problem = self._problem
-        arms = problem.robot.kinematics_along(nodes)
+        arms = self._problem.robot.kinematics_along(nodes)
         pairs = link_clearance(
-            obstacles, arms.segment_start, arms.segment_end, problem.times[1:], -math.inf)
+            search.obstacles, arms.segment_start, arms.segment_end, search.times[1:], -math.inf)
         return intrusion_price(-pairs.distance.min(axis=(1, 2), initial=np.inf))
 
     def _cheapest(self, search: _Search) -> Array:
         """Return the cheapest way (N, n) through a search's postures, by dynamic programming."""
         postures = np.array([nodes for nodes, _ in search.paths]).transpose(1, 0, 2)
         prices = np.array([price for _, price in search.paths]).T
+        stiffness = 1.0 / np.diff(search.times)
         scaled = postures / self._problem.joints.scaling
         gaps = scaled[:-1, :, None] - scaled[1:, None]
-        steps = (gaps * gaps).sum(axis=-1) * self._stiffness[1:, None, None]
+        steps = (gaps * gaps).sum(axis=-1) * stiffness[1:, None, None]
         first = scaled[0] - search.q / self._problem.joints.scaling
-        value = (first * first).sum(axis=-1) * self._stiffness[0] + prices[0]
+        value = (first * first).sum(axis=-1) * stiffness[0] + prices[0]
         origins = []
         for step, price in zip(steps, prices[1:]):
             total = value[:, None] + step

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import PathJoints, step_to_pose
 from redundant_planner.core.horizon.poses_ahead import error_to, Poses
-from redundant_planner.core.kernels import entry, Indices, kernel, Matrix, Stack, Vector
+from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs_along
 from redundant_planner.core.redundancy import null_space
@@ -74,10 +74,14 @@ class Plan(NamedTuple):
 
     Attributes:
         nodes: (N, n) postures at times[1:].
+        start: (n,) where it starts.
+        times: (N + 1,) of start and nodes, from then [s].
         measures: when it was last looked at; infinite if it never was.
     """
 
     nodes: Array
+    start: Array
+    times: Array
     measures: Measures = Measures()
 
     @property
@@ -145,7 +149,7 @@ class PathQP:
 
     Attributes:
         robot: the arm.
-        times: (N + 1,) of the nodes, from now; the first is 0 [s].
+        times: (N + 1,) of the nodes, from now; the first is 0 [s]. They may be replaced.
         joints: how they are weighed and bounded.
         cut_short: whether the last step took more iterations than it may.
     """
@@ -169,7 +173,7 @@ class PathQP:
         arms = self.robot.kinematics_along(nodes)
         measures, local = _linearised(
             q, arms, poses, obstacles, self.times, self.robot.chain, self.joints)
-        return Plan(nodes, measures), local
+        return Plan(nodes, q, self.times, measures), local
 
     def improved(self, plan: Plan, local: LocalProblem) -> Plan | None:
         """Return the QP's solution about a plan; None where it has none."""
@@ -184,6 +188,28 @@ class PathQP:
         count, free, _ = local.directions.shape
         step = (w.reshape(count, 1, free) @ local.directions)[:, 0]
         return plan._replace(nodes=local.base + step)
+
+
+@compiled
+def moved_on(start: Vector, nodes: Matrix, times: Vector, later: Vector) -> Array:
+    """Return a plan's postures (L, n) at later times (L,), by interpolation.
+
+    Args:
+        start: (n,) at times[0].
+        nodes: (N, n) at times[1:].
+        times, later: (N + 1,) and (L,), ascending [s]; beyond the last the plan stands still.
+    """
+    found = np.empty((len(later), len(start)))
+    node = 1
+    for i in range(len(later)):
+        while node < len(nodes) and times[node] <= later[i]:
+            node += 1
+        before = start if node == 1 else nodes[node - 2]
+        share = (later[i] - times[node - 1]) / (times[node] - times[node - 1])
+        share = min(max(share, 0.0), 1.0)
+        for j in range(len(start)):
+            found[i, j] = before[j] + share * (nodes[node - 1, j] - before[j])
+    return found
 
 
 class _Followed(NamedTuple):

@@ -78,9 +78,16 @@ class Preview:
         """
         return np.diff(self._integral(times), axis=0) / np.diff(times)[:, None]
 
-    def ahead(self, now: float) -> TwistAhead:
+    def ahead(self, now: float) -> PreviewAhead:
         """Return the preview as seen from a time `now` [s]: what `Planner.step` takes then."""
-        return lambda times: self.between(now + times)
+        return PreviewAhead(self, now)
+
+    @cached_property
+    def end(self) -> float:
+        """When the last motion is over [s]."""
+        moving = np.flatnonzero(self.twists.any(axis=1))
+        after = min(int(moving[-1]) + 1, len(self.times) - 1) if len(moving) else 0
+        return float(self.times[after])
 
     @cached_property
     def _integrals(self) -> Array:
@@ -99,6 +106,23 @@ class Preview:
         share = elapsed / np.maximum(span, np.finfo(float).tiny)[:, None]
         step = self.twists[before + 1] - self.twists[before]
         return self._integrals[before] + elapsed * (self.twists[before] + 0.5 * share * step)
+
+
+@dataclass(frozen=True)
+class PreviewAhead:
+    """A preview as seen from a time `now` [s]."""
+
+    preview: Preview
+    now: float
+
+    def __call__(self, times: Array) -> Array:
+        """Return the mean twists (N, 6) from each of times (N + 1,) from now to the next."""
+        return self.preview.between(self.now + times)
+
+    @property
+    def rest(self) -> float:
+        """Time until the last motion is over [s]; negative after it."""
+        return self.preview.end - self.now
 
 
 def continued(command: Array, growth: float, times: Array) -> Array:

@@ -114,6 +114,23 @@ def velocity_bounds(
 
 
 @entry
+def can_stop(q: Vector, dq: Vector, limits: Limits, dt: float) -> bool:
+    """Return whether a velocity (n,) is within its limits, and braking from it within the range.
+
+    Args:
+        q, dq: (n,) [rad, m; per s].
+        limits: of the joints.
+        dt: of a tick [s].
+    """
+    reach = stopping_time(dq, limits.acceleration_max) / 2.0 + dt
+    for i in range(len(q)):
+        room = limits.positions[0, i] - q[i] if dq[i] > 0.0 else q[i] - limits.positions[1, i]
+        if abs(dq[i]) > limits.velocity_max[i] or abs(dq[i]) * reach > max(room, 0.0):
+            return False
+    return True
+
+
+@entry
 def bounds_of_velocity(
     q: Vector, previous: Vector, limits: Limits, stop: float, dt: float,
 ) -> tuple[Array, Array, bool]:

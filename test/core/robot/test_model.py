@@ -31,7 +31,7 @@ def test_locked_joint_leaves_the_chain_at_its_position():
 
 
 def test_base_frame_may_be_any_link_of_the_chain(panda):
-    upper = make_panda(base_frame='panda_link2', acceleration_max=(5.0,))
+    upper = make_panda(base_frame='panda_link2', acceleration_max=(5.0,), jerk_max=())
     assert upper.joint_names == panda.joint_names[2:]
     q = np.array([0.3, -0.5, 0.2, -2.0, 0.4, 1.5, 0.8])
     model = pin.buildModelFromUrdf(str(PANDA_URDF))
