@@ -16,17 +16,17 @@ from redundant_planner.core.kernels import compiled, OutMatrix, Vector
 
 Array = npt.NDArray[np.float64]
 
-# How fast the posture follows an arm that is elsewhere than expected [1/s], and how far it may be
-# from there; beyond, the posture follows at once [rad, m].
+# How fast the posture follows an arm that is elsewhere than expected [1/s]. Beyond so far from
+# there, and further by what a joint makes in so long, the posture follows at once [rad, m; s].
 _RATE = 2.0
-_FURTHEST = 0.01
+_FURTHEST, _LATEST = 0.01, 0.1
 # Time over which errors count as noise [s].
 _NOISE_TIME = 0.1
 # Slower joints do not tell a direction [rad/s, m/s].
 _SLOW = 1e-3
 
 # Rows of the observer's state.
-_COMMANDED, _EXPECTED, _SPEED, _OFFSET, _STRAYED = range(5)
+_COMMANDED, _EXPECTED, _SPEED, _OFFSET, _STRAYED, _WAY = range(6)
 
 
 class JointObserver:
@@ -42,7 +42,7 @@ class JointObserver:
     def __init__(self, n: int, lag: float, dead_time: float) -> None:
         """Begin without a measurement; lag τ and dead time θ [s]."""
         self.lag, self.dead_time = lag, dead_time
-        self._state = np.zeros((5, n))
+        self._state = np.zeros((6, n))
         self._late = np.zeros((1, n))
         self._dt = math.nan
         self.reset()
@@ -80,20 +80,23 @@ class JointObserver:
 def _sense(state: OutMatrix, measured: Vector, dt: float) -> tuple[Array, Array]:
     """Return the posture to plan from, and how far the arm has strayed, (n,) each."""
     n = len(measured)
-    offset, strayed = state[_OFFSET], state[_STRAYED]
+    offset, strayed, way = state[_OFFSET], state[_STRAYED], state[_WAY]
     share, slower = 1.0 - math.exp(-_RATE * dt), 1.0 - math.exp(-dt / _NOISE_TIME)
     along, squared = 0.0, 0.0
     for i in range(n):
         error = measured[i] - state[_EXPECTED, i] - offset[i]
-        kept = min(max((1.0 - share) * error, -_FURTHEST), _FURTHEST)
+        most = _FURTHEST + _LATEST * abs(state[_SPEED, i])
+        kept = min(max((1.0 - share) * error, -most), most)
         offset[i] += error - kept
+        # Both averaged alike: of a drive that is later than thought they have one direction.
         strayed[i] += slower * (kept - strayed[i])
-        along += strayed[i] * state[_SPEED, i]
-        squared += state[_SPEED, i] * state[_SPEED, i]
+        way[i] += slower * (state[_SPEED, i] - way[i])
+        along += strayed[i] * way[i]
+        squared += way[i] * way[i]
     aside = strayed.copy()
     if squared > _SLOW * _SLOW:
         for i in range(n):
-            aside[i] -= along / squared * state[_SPEED, i]
+            aside[i] -= along / squared * way[i]
     return state[_COMMANDED] + offset, aside
 
 

@@ -91,8 +91,8 @@ def test_the_posture_does_not_run_ahead_of_an_arm_that_is_held():
     for _ in range(300):
         posture = observer.sense(np.zeros(N), DT)
         observer.commanded(np.full(N, 0.5), DT)
-        # The way that a free arm would still make for these commands, and a hundredth.
-        assert np.abs(posture).max() <= 0.5 * (0.03 + 0.012) + 0.01 + 1e-9
+        # The way that a free arm would still make for these commands, and what it may be late.
+        assert np.abs(posture).max() <= 0.5 * (0.03 + 0.012 + 0.1) + 0.01 + 1e-9
 
 
 def test_being_late_on_the_way_is_not_being_off_it():
