@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.bounded_series import HeldTwists, KeptScenes, ThinnedRows
+from redundant_planner.analysis.commanded import Commands
 from redundant_planner.analysis.joint_measures import JointSums
 from redundant_planner.analysis.path_errors import path_errors
 from redundant_planner.analysis.results import Analysis, Curves
@@ -113,6 +114,11 @@ class _Motion:
         self._joints = ChosenJoints(
             source, robot.joint_names if robot is not None else (), bag.left_out)
         self._sums, self._rows = JointSums(0), ThinnedRows(1)
+        rate = number_of(values, 'rate', 0.0, 1e6)
+        self._period = 1.0 / rate if rate > 0.0 else None
+        self._command_joints = self._joints if source == 'joint_command' else ChosenJoints(
+            'joint_command', robot.joint_names if robot is not None else (), bag.left_out)
+        self._commands: Commands | None = None
         self._periods: list[npt.NDArray[np.float32]] = []
         self._last_stamp: float | None = None
         self._factor: list[tuple[float, float]] = []
@@ -132,6 +138,7 @@ class _Motion:
                 continue
             if item.topic == 'joint_command':
                 self._take_stamps(item.stamps)
+                self._take_commands(item)
             if item.topic == self._source:
                 self._take_joints(item)
         if not self._sums.samples:
@@ -161,6 +168,15 @@ class _Motion:
             stamps = np.append(self._last_stamp, stamps)
         self._periods.append(np.diff(stamps).astype(np.float32))
         self._last_stamp = float(stamps[-1])
+
+    def _take_commands(self, chunk: JointChunk) -> None:
+        self._command_joints.names = self._command_joints.names or self._joints.names
+        chosen = self._command_joints.of(chunk)
+        if chosen is None:
+            return
+        if self._commands is None:
+            self._commands = Commands(len(chosen.names), self._period)
+        self._commands.add(chosen.stamps, chosen.velocities)
 
     def _take_joints(self, chunk: JointChunk) -> None:
         self._tracker.expire(float(chunk.arrivals[0]))
@@ -196,6 +212,11 @@ class _Motion:
 
     def _analysis(self) -> Analysis:
         sums, notes, clearance = self._sums, self._notes, self._clearance
+        commands = self._commands
+        if commands is not None and (
+                not commands.count or self._command_joints.names != self._joints.names):
+            commands = None
+            notes.append('joint_command has no velocities of these joints')
         if sums.backwards:
             notes.append(
                 f'time goes backwards {sums.backwards} times; those steps count for nothing')
@@ -209,7 +230,9 @@ class _Motion:
             name=printable(self._bag.path.absolute().name), robot=self._robot,
             joint_names=self._joints.names, samples=sums.samples,
             begin=sums.begin_time, end=sums.end_time, joints=sums.measures(),
-            curves=_curves(self._robot, self._rows.rows(), self._twists, self._scenes.kept),
+            commanded=commands.peaks if commands is not None else None,
+            curves=_curves(
+                self._robot, self._rows.rows(), self._twists, self._scenes.kept, commands),
             clearance=clearance.smallest if clearance is not None else None,
             distance=clearance.distance if clearance is not None else np.inf,
             periods=_periods(intervals), factor=np.array(self._factor).reshape(-1, 2),
@@ -240,6 +263,7 @@ def _factors(item: Event) -> list[tuple[float, float]]:
 
 def _curves(
     robot: Robot | None, rows: Array, commanded: HeldTwists, scenes: list[tuple[float, Scene]],
+    commands: Commands | None,
 ) -> Curves:
     n = (rows.shape[1] - 2) // 3
     times, q, dq, ddq = rows[:, 0], rows[:, 1:1 + n], rows[:, 1 + n:1 + 2 * n], rows[:, -1 - n:-1]
@@ -256,4 +280,5 @@ def _curves(
         with np.errstate(divide='ignore', invalid='ignore'):
             scale = np.where(size > 0.0, followed / size, np.nan)
         error = path_errors(robot, times, twists, tips, arms.tip_rotation)
-    return Curves(times, q, dq, ddq, rows[:, -1], scale, tips, error, tuple(scenes))
+    told = commands.at(times) if commands is not None else None
+    return Curves(times, q, dq, ddq, told, rows[:, -1], scale, tips, error, tuple(scenes))

@@ -10,12 +10,16 @@ from redundant_planner.analysis.metrics import reduction
 from redundant_planner.analysis.results import Analysis
 from redundant_planner.io.printable import printable
 
-# Measure of every joint → its title.
+# Measure of every joint's measured motion → its title.
 MEASURES = {
     'displacement': 'displacement', 'path': 'path ∫|q̇|', 'effort': '∫q̇²',
     'initial_velocity': 'initial velocity', 'velocity_change': 'velocity change',
-    'acceleration_change': 'acceleration change', 'peak_velocity': 'peak velocity',
-    'peak_acceleration': 'peak acceleration'}
+    'acceleration_change': 'acceleration change', 'peak_velocity': 'peak velocity, measured',
+    'peak_acceleration': 'peak acceleration, measured'}
+# Largest of a joint's commands → its title, and the robot's limit.
+PEAKS = {'velocity': ('peak velocity, commanded', 'velocity_max'),
+         'acceleration': ('peak acceleration, commanded', 'acceleration_max'),
+         'jerk': ('peak jerk, commanded', 'jerk_max')}
 # Those that Table 1 and the text of the paper compare.
 COMPARED = ('displacement', 'path', 'effort', 'initial_velocity', 'velocity_change',
              'acceleration_change')

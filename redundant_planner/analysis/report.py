@@ -12,8 +12,19 @@ import numpy as np
 import numpy.typing as npt
 from plotly.offline import get_plotlyjs
 
-from redundant_planner.analysis.measure_tables import as_text, motion_measures, reductions
-from redundant_planner.analysis.report_figures import drawn_samples, write_figures
+from redundant_planner.analysis.measure_tables import (
+    as_text,
+    MEASURES,
+    motion_measures,
+    PEAKS,
+    reductions,
+)
+from redundant_planner.analysis.report_figures import (
+    accelerations_of,
+    drawn_samples,
+    velocities_of,
+    write_figures,
+)
 from redundant_planner.analysis.report_template import PAGE
 from redundant_planner.analysis.report_view import packed_numbers, view_count, view_of
 from redundant_planner.analysis.results import Analysis
@@ -93,11 +104,14 @@ def _section(index: int, analysis: Analysis, shown: dict[str, Any] | None) -> st
 
 
 def _joint_rows(analysis: Analysis) -> str:
-    keys = list(vars(analysis.joints))
-    head = ''.join(f'<th>{escape(key.replace("_", " "))}</th>' for key in keys)
+    columns = {title: getattr(analysis.joints, key) for key, title in MEASURES.items()}
+    if analysis.commanded is not None:
+        columns |= {title: getattr(analysis.commanded, key)
+                    for key, (title, _) in PEAKS.items()}
+    head = ''.join(f'<th>{escape(title)}</th>' for title in columns)
     rows = ''.join(
         f'<tr><td>{escape(name)}</td>' + ''.join(
-            f'<td>{getattr(analysis.joints, key)[i]:.5g}</td>' for key in keys) + '</tr>'
+            f'<td>{values[i]:.5g}</td>' for values in columns.values()) + '</tr>'
         for i, name in enumerate(analysis.joint_names))
     return f'<table><tr><th>joint</th>{head}</tr>{rows}</table>'
 
@@ -125,9 +139,11 @@ def _data(analysis: Analysis, view: dict[str, Any] | None) -> dict[str, Any]:
              'color': _COLORS[i % len(_COLORS)]}
             for i, name in enumerate(analysis.joint_names)]}
 
-    rows = [per_joint('displacement<br>[rad, m]', curves.positions - curves.positions[0]),
-            per_joint('velocity<br>[rad/s, m/s]', curves.velocities),
-            per_joint('acceleration<br>[rad/s², m/s²]', curves.accelerations)]
+    rows = [per_joint('displacement<br>measured [rad, m]', curves.positions - curves.positions[0])]
+    rows += [per_joint(f'velocity<br>{which} [rad/s, m/s]', values)
+             for which, values in velocities_of(curves).items()]
+    rows += [per_joint(f'acceleration<br>{which} [rad/s², m/s²]', values)
+             for which, values in accelerations_of(curves).items()]
     for label, name, values in (
             ('clearance<br>[m]', 'smallest clearance', curves.clearance),
             ('off the path<br>[m]', 'distance from the commanded path', curves.path_error),

@@ -11,10 +11,13 @@ from redundant_planner.analysis.figures import joint_curves, motion_picture
 from redundant_planner.analysis.report_view import nearest_obstacles
 from redundant_planner.analysis.results import Analysis, Curves, scene_at
 
+Array = npt.NDArray[np.float64]
+
 # Samples of a curve: what a screen can show.
 _CURVE = 1500
 # Obstacles drawn in a picture: the nearest ones.
 _PICTURED = 200
+_STYLES = {'measured': '--', 'commanded': '-'}
 # Joints in a figure.
 _DIAGRAMS = 32
 
@@ -30,12 +33,14 @@ def write_figures(
     if len(names) < len(analysis.joint_names):
         title += f': the first {len(names)} of {len(analysis.joint_names)} joints'
     for suffix in suffixes:
-        for kind, label, values in (
-                ('displacement', 'displacement [rad, m]', curves.positions - curves.positions[0]),
-                ('velocity', 'velocity [rad/s, m/s]', curves.velocities),
-                ('acceleration', 'acceleration [rad/s², m/s²]', curves.accelerations)):
+        for kind, label, found in (
+                ('displacement', 'displacement [rad, m]',
+                 {'measured': curves.positions - curves.positions[0]}),
+                ('velocity', 'velocity [rad/s, m/s]', velocities_of(curves)),
+                ('acceleration', 'acceleration [rad/s², m/s²]', accelerations_of(curves))):
             joint_curves(folder / f'{analysis.name}_{kind}.{suffix}', names, label,
-                         {analysis.name: ('-', times, values[chosen])}, title)
+                         {name: (_STYLES[name], times, values[chosen])
+                          for name, values in found.items()}, title)
         if analysis.robot is not None:
             scene = scene_at(curves, float(curves.times[-1]))
             corners = np.vstack([analysis.robot.joint_points(q) for q in curves.positions[chosen]])
@@ -45,6 +50,24 @@ def write_figures(
                 curves.positions[chosen], curves.velocities[chosen],
                 [obstacles[i] for i in nearest_obstacles(scene, corners, _PICTURED)],
                 f"'{analysis.name}'")
+
+
+def velocities_of(curves: Curves) -> dict[str, Array]:
+    """Return 'measured' and, where there are commands, 'commanded' → velocities (k, n)."""
+    found = {'measured': curves.velocities}
+    if curves.commanded is not None:
+        found['commanded'] = curves.commanded[0]
+    return found
+
+
+def accelerations_of(curves: Curves) -> dict[str, Array]:
+    """Return 'commanded' or, without commands, 'measured' → accelerations (k, n).
+
+    Differences of measured velocities tell of jitter and noise more than of the motion.
+    """
+    if curves.commanded is not None:
+        return {'commanded': curves.commanded[1]}
+    return {'measured': curves.accelerations}
 
 
 def drawn_samples(curves: Curves) -> npt.NDArray[np.intp]:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
+from redundant_planner.analysis.commanded import CommandPeaks
 from redundant_planner.analysis.joint_measures import JointMeasures
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
@@ -21,7 +22,10 @@ class Curves:
 
     Attributes:
         times: (k,) [s].
-        positions, velocities, accelerations: (k, n).
+        positions, velocities, accelerations: (k, n) measured; accelerations are differences
+            between samples, noise and jitter included.
+        commanded: velocities and accelerations (k, n) of the command that held then, NaN where
+            none did; None without commands.
         clearance: (k,) smallest distance of a link to an obstacle, not more than the true one,
             the smallest since the sample before [m]; infinite without robot or obstacles.
         scale: (k,) share of the commanded twist that the tip followed, NaN without a command.
@@ -34,6 +38,7 @@ class Curves:
     positions: Array
     velocities: Array
     accelerations: Array
+    commanded: tuple[Array, Array] | None
     clearance: Array
     scale: Array
     tips: Array
@@ -51,7 +56,8 @@ class Analysis:
         joint_names: n names.
         samples: of joint states.
         begin, end: of the motion, from the bag's first message [s].
-        joints: measures per joint.
+        joints: measures per joint, of the measured motion.
+        commanded: the commands' peaks, None without commands.
         curves: over time.
         clearance: the smallest level and where it was, None without robot or obstacles.
         distance: the smallest distance [m].
@@ -67,6 +73,7 @@ class Analysis:
     begin: float
     end: float
     joints: JointMeasures
+    commanded: CommandPeaks | None
     curves: Curves
     clearance: metrics.Clearance | None
     distance: float

@@ -23,6 +23,7 @@ from redundant_planner.analysis.measure_tables import (
     COMPARED,
     MEASURES,
     motion_measures,
+    PEAKS,
     reductions,
 )
 from redundant_planner.analysis.results import Analysis
@@ -40,12 +41,16 @@ def joint_table(analysis: Analysis) -> Table:
     table.add_column('joint')
     for label in MEASURES.values():
         table.add_column(label, justify='right')
-    robot = analysis.robot
+    robot, commanded = analysis.robot, analysis.commanded
+    if commanded is not None:
+        for title, _ in PEAKS.values():
+            table.add_column(title, justify='right')
     for i, name in enumerate(analysis.joint_names):
         cells = [f'{getattr(analysis.joints, key)[i]:.5g}' for key in MEASURES]
-        if robot is not None:  # peaks against limits
-            cells[-2] += f' / {robot.velocity_max[i]:.3g}'
-            cells[-1] += f' / {robot.acceleration_max[i]:.3g}'
+        for key, (_, limit) in PEAKS.items() if commanded is not None else ():
+            cells.append(f'{getattr(commanded, key)[i]:.5g}')
+            if robot is not None:
+                cells[-1] += f' / {getattr(robot, limit)[i]:.3g}'
         table.add_row(name, *cells)
     return table
 
@@ -84,12 +89,17 @@ def comparison_table(base: Analysis, improved: Analysis) -> Table:
 def as_json(analysis: Analysis) -> dict[str, Any]:
     """Return an analysis as it stands in the JSON file."""
     robot = analysis.robot
-    joints = {}
+    joints: dict[str, dict[str, float | None]] = {}
     for i, name in enumerate(analysis.joint_names):
         joints[name] = {key: float(value[i]) for key, value in asdict(analysis.joints).items()}
         if robot is not None:
             joints[name] |= {'velocity_limit': float(robot.velocity_max[i]),
-                             'acceleration_limit': float(robot.acceleration_max[i])}
+                             'acceleration_limit': float(robot.acceleration_max[i]),
+                             'jerk_limit': (float(robot.jerk_max[i])
+                                            if np.isfinite(robot.jerk_max[i]) else None)}
+        if analysis.commanded is not None:
+            joints[name] |= {f'commanded_peak_{key}': float(getattr(analysis.commanded, key)[i])
+                             for key in PEAKS}
     return {'bag': analysis.name, 'begin': analysis.begin, 'end': analysis.end,
             'samples': analysis.samples, 'joints': joints, 'motion': motion_measures(analysis),
             'notes': list(analysis.notes)}
@@ -101,9 +111,12 @@ def write_csv(path: Path, analysis: Analysis) -> None:
     head = ['time', *(f'{kind}.{name}' for kind in ('position', 'velocity', 'acceleration')
                       for name in names),
             'distance', 'scale', 'path_error', 'tip.x', 'tip.y', 'tip.z']
+    told = curves.commanded or ()
+    head += [f'commanded_{kind}.{name}'
+             for kind, _ in zip(('velocity', 'acceleration'), told) for name in names]
     rows = np.column_stack((
         curves.times, curves.positions, curves.velocities, curves.accelerations,
-        curves.clearance, curves.scale, curves.path_error, curves.tips))
+        curves.clearance, curves.scale, curves.path_error, curves.tips, *told))
     with path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
         writer.writerow(head)
