@@ -95,6 +95,7 @@ class Planner:
         self.robot = robot
         self._filtered = filtered
         self._reversal_time = reversal_time(robot.acceleration_max, robot.jerk_max)
+        self._window = (math.nan, 1)
         self._controlled = robot.full_twist(np.ones(robot.m))
         self._last = self._at_rest()
         self._mean = MeanVelocity(robot.n)
@@ -206,7 +207,7 @@ class Planner:
         """
         # Sense: where the arm is, and the obstacles near it.
         command, commanded = self._checked_command(twist, dt)
-        arm = self.robot.kinematics(self._posture(self.robot.checked_posture(q), dt))
+        arm = self.robot.kinematics(self._posture(q, dt))
         pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
         around = self._watch.look(scene, arm, last.dq, dt)
 
@@ -266,6 +267,9 @@ class Planner:
 
         Where clearance could not be kept, jerk gives way: what is planned is commanded as it is.
         """
+        measured = np.asarray(measured, dtype=float)
+        if measured.shape != self._last.dq.shape:
+            return measured  # which kinematics refuse
         last, posture = self._last, self._observer.sense(measured, dt)
         ticks = 1 if last.rush > 0.0 else self._ticks(dt)
         if ticks != self._mean.ticks:
@@ -275,11 +279,13 @@ class Planner:
             if ticks == 1 or can_stop(
                     posture + mean.way_left(dt), mean.latest, self._limits, dt):
                 self._mean, self._last = mean, last._replace(dq=mean.latest)
-        return posture + self._mean.way_left(dt)
+        return posture if ticks == 1 else posture + self._mean.way_left(dt)
 
     def _ticks(self, dt: float) -> int:
         """Return over how many ticks the mean of planned velocities keeps the jerk limits."""
-        return window_of(self._reversal_time, dt) if self._filtered else 1
+        if self._window[0] != dt:
+            self._window = dt, window_of(self._reversal_time, dt) if self._filtered else 1
+        return self._window[1]
 
     @property
     def _busy(self) -> bool:

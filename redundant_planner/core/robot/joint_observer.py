@@ -26,34 +26,40 @@ _NOISE_TIME = 0.1
 _SLOW = 1e-3
 
 # Rows of the observer's state.
-_COMMANDED, _EXPECTED, _SPEED, _OFFSET, _STRAYED, _WAY = range(6)
+_COMMANDED, _EXPECTED, _SPEED, _OFFSET, _BEHIND, _WAY, _STRAYED, _TOLD = range(8)
 
 
 class JointObserver:
     """Follows the commands of one arm with a model of its drives.
 
     A drive is a first-order lag behind a dead time: τ v̇ + v = u(t − θ).
-
-    Attributes:
-        strayed: (n,) how far the arm is from its way, noise left out [rad, m]: not what it is
-            behind on the way, which it will be past soon.
     """
 
     def __init__(self, n: int, lag: float, dead_time: float) -> None:
         """Begin without a measurement; lag τ and dead time θ [s]."""
         self.lag, self.dead_time = lag, dead_time
-        self._state = np.zeros((6, n))
+        self._state = np.zeros((8, n))
         self._late = np.zeros((1, n))
-        self._dt = math.nan
+        self._dt, self._told = math.nan, 0.0
         self.reset()
 
     def reset(self) -> None:
         """Take the next measurement as it is: the arm stands there."""
-        self._known = False
-        self.strayed = np.zeros(self._state.shape[1])
+        self._known, self._told = False, 0.0
+        self._state[_STRAYED] = 0.0
+
+    @property
+    def strayed(self) -> Array:
+        """How far the arm is from its way, noise left out (n,) [rad, m].
+
+        What it is behind on the way does not count: it will be past that soon.
+        """
+        return self._state[_STRAYED]
 
     def sense(self, measured: Array, dt: float) -> Array:
         """Take a measured posture (n,); return the posture to plan from [rad, m].
+
+        One that is not finite is returned as it is, and counts for nothing.
 
         Args:
             measured: now.
@@ -64,63 +70,83 @@ class JointObserver:
             self._late = np.tile(
                 self._state[_SPEED], (math.floor(self.dead_time / dt) + 2, 1))
         if not self._known:
-            self._known = True
-            self._state[:] = 0.0
+            self._known = bool(np.isfinite(measured).all())
+            self._state[:], self._late[:] = 0.0, 0.0
             self._state[_COMMANDED] = self._state[_EXPECTED] = measured
-            self._late[:] = 0.0
-        posture, self.strayed = _sense(self._state, measured, dt)
-        return posture
+            return measured
+        told, self._told = self._told, 0.0
+        return _sense(
+            self._state, self._late, measured, self.lag, self.dead_time, told, dt)
 
     def commanded(self, dq: Array, dt: float) -> None:
         """Take the command (n,) that holds for the next dt [rad/s, m/s; s]."""
-        _command(self._state, self._late, dq, self.lag, self.dead_time, dt)
+        if self._told > 0.0:
+            _obey(self._state, self._late, self.lag, self.dead_time, self._told)
+        self._state[_TOLD], self._told = dq, dt
 
 
 @compiled
-def _sense(state: OutMatrix, measured: Vector, dt: float) -> tuple[Array, Array]:
-    """Return the posture to plan from, and how far the arm has strayed, (n,) each."""
-    n = len(measured)
-    offset, strayed, way = state[_OFFSET], state[_STRAYED], state[_WAY]
-    share, slower = 1.0 - math.exp(-_RATE * dt), 1.0 - math.exp(-dt / _NOISE_TIME)
-    along, squared = 0.0, 0.0
-    for i in range(n):
-        error = measured[i] - state[_EXPECTED, i] - offset[i]
-        most = _FURTHEST + _LATEST * abs(state[_SPEED, i])
-        kept = min(max((1.0 - share) * error, -most), most)
-        offset[i] += error - kept
-        # Both averaged alike: of a drive that is later than thought they have one direction.
-        strayed[i] += slower * (kept - strayed[i])
-        way[i] += slower * (state[_SPEED, i] - way[i])
-        along += strayed[i] * way[i]
-        squared += way[i] * way[i]
-    aside = strayed.copy()
-    if squared > _SLOW * _SLOW:
-        for i in range(n):
-            aside[i] -= along / squared * way[i]
-    return state[_COMMANDED] + offset, aside
-
-
-@compiled
-def _command(
-    state: OutMatrix, late: OutMatrix, dq: Vector, lag: float, dead_time: float, dt: float,
+def _obey(
+    state: OutMatrix, late: OutMatrix, lag: float, dead_time: float, dt: float,
 ) -> None:
-    """Go on by a tick: the drive obeys what was commanded a dead time ago.
+    """Go on by a tick of dt [s]: the drive obeys what was commanded a dead time ago.
 
     Args:
         state: of the observer.
         late: (d + 2, n) the commands of the dead time, the oldest first.
-        dq: (n,) the new command.
-        lag, dead_time, dt: [s].
+        lag, dead_time: of the drive [s].
+        dt: how long the latest command has been holding [s].
     """
     ticks = len(late) - 2
     part = min(max(dead_time / dt - ticks, 0.0), 1.0)
     kept = math.exp(-dt / lag) if lag > 0.0 else 0.0
-    for i in range(len(dq)):
+    for i in range(state.shape[1]):
+        dq = state[_TOLD, i]
         for tick in range(ticks + 1):
             late[tick, i] = late[tick + 1, i]
-        late[ticks + 1, i] = dq[i]
+        late[ticks + 1, i] = dq
         # Within the tick it obeys one command for a part of the time, then the next.
         wanted = part * late[0, i] + (1.0 - part) * late[1, i]
-        state[_COMMANDED, i] += dq[i] * dt
+        state[_COMMANDED, i] += dq * dt
         state[_EXPECTED, i] += wanted * dt + (state[_SPEED, i] - wanted) * lag * (1.0 - kept)
         state[_SPEED, i] = wanted + (state[_SPEED, i] - wanted) * kept
+
+
+@compiled
+def _sense(
+    state: OutMatrix, late: OutMatrix, measured: Vector, lag: float, dead_time: float,
+    told: float, dt: float,
+) -> Array:
+    """Return the posture (n,) to plan from.
+
+    Args:
+        state: of the observer.
+        late, lag, dead_time: see `_obey`.
+        measured: (n,) now.
+        told: for how long the latest command has been holding [s]; 0 for none since the last time.
+        dt: time to the next tick [s].
+    """
+    n = len(measured)
+    for i in range(n):
+        if not math.isfinite(measured[i]):
+            return measured.copy()
+    if told > 0.0:
+        _obey(state, late, lag, dead_time, told)
+    share, slower = 1.0 - math.exp(-_RATE * dt), 1.0 - math.exp(-dt / _NOISE_TIME)
+    along, squared = 0.0, 0.0
+    posture = np.empty(n)
+    for i in range(n):
+        error = measured[i] - state[_EXPECTED, i] - state[_OFFSET, i]
+        most = _FURTHEST + _LATEST * abs(state[_SPEED, i])
+        kept = min(max((1.0 - share) * error, -most), most)
+        state[_OFFSET, i] += error - kept
+        # Both averaged alike: of a drive that is later than thought they have one direction.
+        state[_BEHIND, i] += slower * (kept - state[_BEHIND, i])
+        state[_WAY, i] += slower * (state[_SPEED, i] - state[_WAY, i])
+        along += state[_BEHIND, i] * state[_WAY, i]
+        squared += state[_WAY, i] * state[_WAY, i]
+        posture[i] = state[_COMMANDED, i] + state[_OFFSET, i]
+    late_by = along / squared if squared > _SLOW * _SLOW else 0.0
+    for i in range(n):
+        state[_STRAYED, i] = state[_BEHIND, i] - late_by * state[_WAY, i]
+    return posture
