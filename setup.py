@@ -55,6 +55,7 @@ setup(
             f'record_bag = {PACKAGE}.tools.record_bag:main',
             f'analyze_bag = {PACKAGE}.tools.analyze_bag:main',
             f'replay_bag = {PACKAGE}.tools.replay_bag:main',
+            f'identify_delay = {PACKAGE}.tools.identify_delay:main',
             f'show_robot = {PACKAGE}.tools.show_robot:main',
             f'demo = {PACKAGE}.tools.demo:main',
             f'reproduce_paper = {PACKAGE}.tools.reproduce_paper:main',
