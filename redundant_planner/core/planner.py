@@ -334,7 +334,8 @@ class Planner:
             return False
         blocked = desired.blocked and (commanded or self._watch.fastest > 0.0)
         crowded = blocked and len(around.near) > MOST_OBSTACLES
-        self._look_ahead.switch(blocked and not crowded, dt)
+        self._look_ahead.switch(
+            blocked and not crowded, dt, at_once=self._watch.fastest > 0.0)
         return crowded
 
     def _fallbacks(

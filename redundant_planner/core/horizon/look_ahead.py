@@ -130,22 +130,30 @@ class LookAhead:
 
     def _smoothed(self, dt: float) -> Array | None:
         """Return the path's velocity (n,), smoothed: another path may take another direction."""
-        if self._wanted is None or self._velocity is None:
-            self._velocity = self._wanted
-        else:
-            share = 1.0 - math.exp(-dt / _SMOOTHING_TIME)
-            self._velocity = self._velocity + share * (self._wanted - self._velocity)
+        if self._wanted is None:
+            self._velocity = None
+            return None
+        # A new path's first steps are far from its solution: it begins with nothing.
+        before = np.zeros_like(self._wanted) if self._velocity is None else self._velocity
+        share = 1.0 - math.exp(-dt / _SMOOTHING_TIME)
+        self._velocity = before + share * (self._wanted - before)
         return self._velocity
 
-    def switch(self, blocked: bool, dt: float) -> None:
+    def switch(self, blocked: bool, dt: float, *, at_once: bool = False) -> None:
         """Follow the path gradually while the arm's own motion is blocked, and back afterwards.
 
         A path that leads nowhere either is kept up, but not followed.
+
+        Args:
+            blocked: whether it is.
+            dt: [s].
+            at_once: whether to turn back as soon as the way is free: among what moves, the path is
+                soon out of date.
         """
         if self._always:
             return
-        self._stay = _STAY if blocked and (
-            self._horizon is None or self._horizon.free) else self._stay - dt
+        useful = blocked and (self._horizon is None or self._horizon.free)
+        self._stay = _STAY if useful else 0.0 if at_once else self._stay - dt
         if self._stay > 0.0:
             self.guided = min(self.guided + dt / _SWITCH_TIME, 1.0)
         elif self.guided > 0.0:
