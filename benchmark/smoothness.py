@@ -149,7 +149,7 @@ def run_planner(
 def run_peer(
     robot: Robot, name: str, judge: Judge, task: Task, drive: Drive, dt: float,
 ) -> Smoothness:
-    """Run another library on the measured posture."""
+    """Run another library on the posture that it has commanded, as its examples do."""
     from benchmark import peers
     p = PlannerParameters()
     peer = getattr(peers, PEERS[name])(
@@ -157,9 +157,10 @@ def run_peer(
     arm, poses = Arm(drive, task.start, dt, task.seed), path_poses(robot, task, dt)
     count = len(poses) - 1
     postures, commands = np.empty((count + 1, robot.n)), np.empty((count, robot.n))
-    postures[0] = task.start
+    postures[0] = commanded = task.start
     for i in range(count):
-        commands[i] = peer.step(arm.measured, poses[i + 1], dt)
+        commands[i] = peer.step(commanded, poses[i + 1], dt)
+        commanded = commanded + dt * commands[i]
         arm.move(commands[i])
         postures[i + 1] = arm.q
     return smoothness(judge, task, postures, commands, dt)

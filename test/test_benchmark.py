@@ -19,7 +19,7 @@ from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.perception_parameters import CloudParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-from benchmark import cloud, loop, speed, worst_case
+from benchmark import cloud, loop, smoothness, speed, worst_case
 from benchmark.crowds import ALL_SHAPES, Crowd, KINDS, Layout
 from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, Task
@@ -265,3 +265,27 @@ def test_the_cloud_benchmark_times_the_same_points_in_every_layout():
     for result in found:
         assert 0.0 < result['median_ms'] <= result['p99_ms'] <= result['longest_ms']
         assert min(result['steps_us'].values()) > 0.0
+
+
+def test_reversals_are_counted_beyond_a_share_of_the_limit():
+    most = np.array([10.0, 10.0])
+    assert smoothness.reversals(np.array([[1.0, 0.4], [-1.0, -0.4], [0.0, 0.4], [-1.0, 0.4]]),
+                                most) == 1
+    assert smoothness.reversals(np.zeros((0, 2)), most) == 0
+
+
+def test_a_slow_noisy_arm_is_commanded_as_smoothly_as_an_ideal_one():
+    """What the encoders say is late and noisy; the commands are not."""
+    robot = make_robot('panda', 6)
+    judge, task = Judge(robot), generate(robot, 52001)
+    found = {name: smoothness.run_planner(
+        robot, 'dynamic_factor', judge, task, drive, 0.004)
+        for name, drive in smoothness.DRIVES.items()}
+    for smooth in found.values():
+        assert smooth.limit_violation == 0.0 and smooth.min_distance > 0.009
+        assert smooth.reversals <= 2 * found['ideal'].reversals + 2
+        assert smooth.rms_acceleration <= 1.2 * found['ideal'].rms_acceleration
+        assert smooth.path_error < 1e-3
+    entry = smoothness.summarise(list(found.values()))
+    assert {'reversals_median', 'reversals_max', 'rms_acceleration', 'peak_acceleration_share',
+            'peak_jerk_share', 'violations'} <= set(entry)

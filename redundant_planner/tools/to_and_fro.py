@@ -154,6 +154,9 @@ def _move(axis: str, distance: float, duration: float) -> tuple[Motion, tuple[st
         begin = time.monotonic()
         while publisher.get_subscription_count() == 0 and time.monotonic() < begin + _PATIENCE:
             listener.wait(0.05)
+        if publisher.get_subscription_count() == 0:
+            raise StateError('who listens to cmd_vel does not take a Twist; the planner must run '
+                             'without enable_stamped_cmd_vel')
         begin = time.monotonic()
         while (now := time.monotonic() - begin) <= duration:
             twist[AXES.index(axis)] = swing(distance, duration, now)

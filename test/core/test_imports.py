@@ -38,9 +38,10 @@ def test_the_core_knows_neither_ros_nor_the_rest_of_the_package(path):
         assert top not in {'time', 'logging', 'datetime'}, f'{path.name} imports {name}'
 
 
-def test_only_nodes_and_the_live_runner_touch_ros():
+def test_only_nodes_and_live_tools_touch_ros():
+    live = ('live_run.py', 'record_bag.py', 'to_and_fro.py')
     for path in PACKAGE.rglob('*.py'):
-        if path.parent.name == 'nodes' or path.name in ('live_run.py', 'record_bag.py'):
+        if path.parent.name == 'nodes' or path.name in live:
             continue
         used = {name.split('.')[0] for name in imports(path)} & ROS
         assert not used, f'{path} imports {used}'

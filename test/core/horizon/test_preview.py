@@ -52,3 +52,14 @@ def test_a_held_command_goes_on_as_it_did():
     for growth, shares in ((0.0, [1, 1, 1, 1]), (1.0, [1, 1.5, 2, 2]), (-1.0, [1, 0.5, 0, 0])):
         np.testing.assert_allclose(
             continued(command, growth, times), np.outer(shares, command))
+
+
+def test_a_preview_tells_when_its_motion_is_over():
+    one, still = np.ones(6), np.zeros(6)
+    ramp = Preview([0.0, 1.0, 2.0, 5.0], [one, one, still, still])
+    assert ramp.end == 2.0 and ramp.ahead(0.5).rest == pytest.approx(1.5)
+    assert Preview([0.0, 1.0, 1.0, 5.0], [one, one, still, still]).end == 1.0
+    assert Preview([0.0, 3.0], [one, one]).end == 3.0
+    assert Preview([1.0, 3.0], [still, still]).end == 1.0
+    times = np.array([0.0, 0.2, 0.9])
+    np.testing.assert_array_equal(ramp.ahead(0.5)(times), ramp.between(times + 0.5))

@@ -1,0 +1,101 @@
+"""The joint path ahead makes no chatter: how it is moved on, switched to, and cut at the end."""
+
+from __future__ import annotations
+
+from closed_loop import DT
+from conftest import make_panda, make_paper_arm
+from hypothesis import given, settings, strategies as st
+import numpy as np
+from path_problem import problem
+import pytest
+
+from redundant_planner.core.horizon.horizon import Horizon
+from redundant_planner.core.horizon.look_ahead import LookAhead
+from redundant_planner.core.horizon.path_qp import moved_on
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.paper.experiment import paper_scenario
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(2, 12), dt=st.floats(0.0, 2.0))
+def test_a_plan_is_moved_on_by_interpolation(seed, count, dt):
+    random = np.random.default_rng(seed)
+    times = np.append(0.0, np.cumsum(random.uniform(0.01, 0.3, count)))
+    later = np.append(0.0, np.cumsum(random.uniform(0.01, 0.3, count))) + dt
+    start, nodes = random.normal(size=3), random.normal(size=(count, 3))
+    postures = np.vstack((start, nodes))
+    expected = np.column_stack([np.interp(later, times, joint) for joint in postures.T])
+    np.testing.assert_allclose(moved_on(start, nodes, times, later), expected, atol=1e-12)
+
+
+def test_an_arm_beside_its_plan_does_not_change_the_plans_velocity(planar):
+    """Else each tick that does not improve the plan would pull the arm back to it."""
+    q = np.array([0.2, 0.5, 0.3])
+    qp, poses, maps = problem(planar, q, np.array([0.05, 0.02, 0.0, 0.0, 0.0, 0.0]))
+    horizon = Horizon(planar, qp.times, qp.joints)
+    for _ in range(10):
+        planned = horizon.advance(q, poses, maps, 1e-9)
+    aside = np.array([0.01, -0.02, 0.01])
+    plan = horizon._moved_on(horizon._plan, q + DT * planned + aside, DT)
+    velocity = (plan.nodes[0] - plan.start) / qp.times[1]
+    # What is left comes of the path's own bends, and of the nodes' coming back to it.
+    on_plan = horizon._moved_on(horizon._plan, q + DT * planned, DT)
+    same = (on_plan.nodes[0] - on_plan.start) / qp.times[1]
+    np.testing.assert_allclose(velocity, same - aside / qp.times[-1], atol=1e-9)
+
+
+def look_ahead():
+    planner = Planner(make_panda(), PlannerParameters())
+    return planner._look_ahead
+
+
+def test_a_way_that_is_blocked_in_every_other_tick_switches_once():
+    ahead = look_ahead()
+    shares = []
+    for tick in range(60):
+        ahead.switch(tick % 2 == 0, DT)
+        shares.append(ahead.guided)
+    assert (np.diff(shares) >= 0.0).all() and shares[-1] == 1.0
+    for _ in range(round(1.5 / DT)):
+        ahead.switch(False, DT)
+        shares.append(ahead.guided)
+    assert shares[-1] == 0.0
+    # One way up and one way back.
+    signs = np.sign(np.diff(shares))
+    assert (np.diff(signs[signs != 0.0]) != 0.0).sum() == 1
+
+
+def test_among_what_moves_it_turns_back_at_once():
+    ahead = look_ahead()
+    for _ in range(10):
+        ahead.switch(True, DT, at_once=True)
+    share = ahead.guided
+    ahead.switch(False, DT, at_once=True)
+    assert 0.0 < ahead.guided < share
+
+
+def test_variational_follows_its_path_always():
+    planner = Planner(make_panda(), PlannerParameters(method='variational'))
+    assert isinstance(planner._look_ahead, LookAhead)
+    planner._look_ahead.switch(False, DT)
+    assert planner.guided == 1.0
+
+
+@pytest.mark.parametrize('method', ['variational', 'dynamic_factor'])
+def test_the_papers_scenario_has_one_smooth_curve_per_joint(method):
+    """Announced, with an obstacle at the elbow: 83 extrema of the velocities once."""
+    scenario, robot = paper_scenario(), make_paper_arm()
+    planner, q = Planner(robot, PlannerParameters(method=method)), scenario.start_posture(robot)
+    preview, scene, sent = scenario.preview(), Scene.of(scenario.obstacles), []
+    for i in range(round(scenario.duration / DT)):
+        result = planner.step(q, scenario.twist_at(i * DT), scene, DT, preview.ahead(i * DT))
+        q = q + DT * result.dq
+        sent.append(result.dq)
+    velocities = np.array(sent)[round(0.1 / DT):round(2.7 / DT)]
+    for joint in velocities.T[:6]:
+        changes = np.diff(joint)
+        signs = np.sign(changes[np.abs(changes) > 1e-6])
+        assert (np.diff(signs) != 0.0).sum() <= 4
+    assert np.abs(np.diff(velocities, axis=0)).max() / DT < 1.5
