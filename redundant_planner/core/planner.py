@@ -230,8 +230,9 @@ class Planner:
             reason = self._reason(result, desired, around, commanded, dt)
         fallbacks = self._fallbacks(result, desired, path is None, crowded)
         jerk_kept = self._mean.ticks >= self._ticks(dt)
-        reasons = [*fallbacks, *([reason] if reason else []),
-                   *([] if jerk_kept else ['jerk gives way to a clearance'])]
+        reasons = [*fallbacks, reason] if reason else fallbacks
+        if not jerk_kept:
+            reasons = [*reasons, 'jerk gives way to a clearance']
 
         # Remember: where the tip should be, and how fast the arm is.
         followed, reached = self._followed(result, desired, arm.jacobian, dt)
