@@ -86,14 +86,16 @@ def test_the_judge_measures_exact_distances():
         assert verdict.limit_violation == 0.0 and verdict.completed
 
 
-def test_the_judge_sees_every_kind_of_violation(planar):
-    judge = Judge(planar)
+def test_the_judge_sees_every_kind_of_violation():
+    judge = Judge(make_planar(jerk_max=np.inf))
     task = Task(0, np.zeros(3), np.zeros(6), ())
     start = np.zeros((2, 3))
     fast = np.array([[2.0 * 1.5, 0.0, 0.0]])
     assert judge.judge(task, start, fast, 10.0).limit_violation == pytest.approx(0.5)
     jump = np.array([[0.04, 0.0, 0.0]])
     assert judge.judge(task, start, jump, 0.004).limit_violation == pytest.approx(1.0)
+    gentle = Judge(make_planar(jerk_max=500.0))
+    assert gentle.judge(task, start, 0.25 * jump, 0.004).limit_violation == pytest.approx(0.25)
     outside = np.array([[2.6, 0.0, 0.0], [2.6, 0.0, 0.0]])
     verdict = judge.judge(Task(0, outside[0], np.zeros(6), ()), outside, np.zeros((1, 3)), 0.004)
     assert verdict.limit_violation == pytest.approx(0.1)
