@@ -45,10 +45,12 @@ class PhysicsArm:
     """An arm as MuJoCo simulates it; time comes in with every call, as for `SimulatedArm`.
 
     Attributes:
+        name: of the robot.
         ranges: of the n joints.
         contacts: of links with obstacles and with each other.
         largest_share: (n,) the largest part of its effort limit that each joint has taken.
         remarks: sentences about what was assumed of the URDF.
+        step: of the physics [s].
         steps: taken so far.
     """
 
@@ -68,6 +70,7 @@ class PhysicsArm:
             PhysicsError: MuJoCo refuses the model.
         """
         self._arm = arm_model(robot, parameters)
+        self.name = robot.name
         self.ranges: JointRanges = self._arm.ranges
         self.remarks = self._arm.remarks
         # The ideal arm checks the start posture, and knows where the other joints stand.
@@ -84,12 +87,11 @@ class PhysicsArm:
         self._places = ObstaclePlaces(self._arm)
         self.contacts = ContactLog()
         self.largest_share = np.zeros(len(self._reference))
-        self.steps = 0
+        self.step, self.steps = 1.0 / parameters.physics_rate, 0
         # The reference may lead by as much as takes all of the effort.
         with np.errstate(divide='ignore', invalid='ignore'):
             self._lead = np.where(self._arm.stiffness > 0.0,
                                   self._arm.effort_max / self._arm.stiffness, np.inf)
-        self._dt = 1.0 / parameters.physics_rate
         self._waiting: deque[_Command] = deque()
         self._velocity = np.zeros_like(self._reference)
         self._now, self._expires = -np.inf, -np.inf
@@ -135,7 +137,8 @@ class PhysicsArm:
         Args:
             now: [s].
             velocities: [rad/s, m/s].
-            positions: [rad, m]; None leaves a position servo's reference to the velocities.
+            positions: [rad, m]; None, or NaN for a joint, leaves a position servo's reference to
+                the velocities.
         """
         limit = self.ranges.velocity_max
         self._waiting.append(_Command(
@@ -149,9 +152,9 @@ class PhysicsArm:
         """Simulate up to `now` [s]; a clock that goes backwards moves nothing."""
         if not np.isfinite(self._now):
             self._now = now
-        while self._now + self._dt <= now + _ROUND_OFF:
+        while self._now + self.step <= now + _ROUND_OFF:
             self._step()
-            self._now += self._dt
+            self._now += self.step
 
     def skip_to(self, now: float) -> None:
         """Go on from `now` without simulating what lies between [s]."""
@@ -177,12 +180,13 @@ class PhysicsArm:
             self._velocity = command.velocities
             self._expires = command.time + self._parameters.command_timeout
             if self._parameters.servo == POSITION_SERVO and command.positions is not None:
-                # The velocity leads to the next command's position.
-                self._reference = command.positions - self._dt * self._velocity
+                # This step moves the reference on by the velocity, which is the next command's.
+                given = command.positions - self.step * self._velocity
+                self._reference = np.where(np.isnan(given), self._reference, given)
         if self._now >= self._expires - _ROUND_OFF:
             self._velocity = np.zeros_like(self._velocity)
         q = self._data.qpos[self._arm.positions]
-        wanted = self._reference + self._dt * self._velocity
+        wanted = self._reference + self.step * self._velocity
         self._reference = np.clip(
             np.clip(wanted, self.ranges.position_min, self.ranges.position_max),
             q - self._lead, q + self._lead)

@@ -12,7 +12,7 @@ class Contact(NamedTuple):
     Attributes:
         link: its capsule's name.
         other: name of the obstacle, or of the other capsule.
-        count: how often they began to touch.
+        times: how often they began to touch.
         deepest: the deepest that they overlapped [m].
         first, last: when they first and last touched [s].
         touching: whether they touch now.
@@ -20,7 +20,7 @@ class Contact(NamedTuple):
 
     link: str
     other: str
-    count: int
+    times: int
     deepest: float
     first: float
     last: float
@@ -47,7 +47,7 @@ class ContactLog:
     @property
     def count(self) -> int:
         """How often any two began to touch."""
-        return sum(contact.count for contact in self._found.values())
+        return sum(contact.times for contact in self._found.values())
 
     def note(self, touches: Iterable[tuple[str, str, float]], time: float) -> None:
         """Note what touches in a step.
@@ -63,7 +63,7 @@ class ContactLog:
             begins = key not in self._touching and key not in now
             now.add(key)
             self._found[key] = before._replace(
-                count=before.count + begins, deepest=max(before.deepest, depth), last=time,
+                times=before.times + begins, deepest=max(before.deepest, depth), last=time,
                 touching=True)
         for key in self._touching - now:
             self._found[key] = self._found[key]._replace(touching=False)

@@ -91,13 +91,13 @@ def arm_model(robot: Robot, parameters: PhysicsParameters) -> ArmModel:
     urdf, ranges = read_urdf(robot.urdf), joint_ranges(robot.urdf)
     given = inertias(urdf)
     assumed = bodies_without_inertia(urdf, given)
-    remarks = (remark_on(assumed),) if assumed else ()
+    remarks = [remark_on(assumed)] if assumed else []
     limits = efforts(robot.urdf)
     effort_max = np.array([limits[name] or np.inf for name in ranges.names])
     unlimited = [name for name in ranges.names if not limits[name]]
     if unlimited:
-        remarks += (f'the URDF gives no effort limit of {known(unlimited)}: their torque is '
-                    'unlimited',)
+        remarks.append(f'the URDF gives no effort limit of {known(unlimited)}: their torque is '
+                       'unlimited')
     spec = _spec(robot, urdf, given, assumed, parameters)
     nominal = _compiled(spec)
     _add_places(spec)
@@ -119,6 +119,8 @@ def arm_model(robot: Robot, parameters: PhysicsParameters) -> ArmModel:
     model.body_mass[:] *= share
     model.body_inertia[:] *= share
     mujoco.mj_setConst(model, mujoco.MjData(model))
+    # Of the arm, for cameras: the places for obstacles lie far away.
+    model.stat.center, model.stat.extent = nominal.stat.center, nominal.stat.extent
     return ArmModel(
         model, nominal, ranges, effort_max, stiffness, damping,
         np.array(model.jnt_qposadr[joints], dtype=np.intp), velocities,
@@ -128,7 +130,8 @@ def arm_model(robot: Robot, parameters: PhysicsParameters) -> ArmModel:
               if joint.kind in MOVABLE and joint.mimic is not None),
         model.body(_body_name(robot.base_frame)).id,
         {model.geom(_shape_name(i)).id: capsule.name for i, capsule in enumerate(robot.capsules)},
-        np.array([model.geom(f'place {i}').id for i in range(PLACES)], dtype=np.intp), remarks)
+        np.array([model.geom(f'place {i}').id for i in range(PLACES)], dtype=np.intp),
+        tuple(remarks))
 
 
 def efforts(urdf: str) -> dict[str, float]:
