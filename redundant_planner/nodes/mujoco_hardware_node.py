@@ -25,7 +25,7 @@ from redundant_planner.core.errors import known, ParameterError, StateError
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import RobotParameters, urdf_text
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
-from redundant_planner.nodes import messages, runtime
+from redundant_planner.nodes import messages, physics_report, runtime
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.joint_messages import JointWriter
 from redundant_planner.nodes.lock_step import LockStep
@@ -76,10 +76,8 @@ class MujocoHardwareNode(EndableNode):
         require_mujoco()
         # Not at the top: without MuJoCo this node has to say so.
         from redundant_planner.io.robot_files import build_robot
-        from redundant_planner.nodes import physics_report
         from redundant_planner.physics.arm import PhysicsArm
         super().__init__('mujoco_hardware_node')
-        self._report = physics_report
         logger = self.get_logger()
         self._warn = ThrottledLog(logger.warning)
         robot_parameters = declare(self, RobotParameters)
@@ -209,7 +207,7 @@ class MujocoHardwareNode(EndableNode):
         if state == self._said_contacts:
             return
         self._said_contacts = state
-        self._contacts.publish(self._report.contacts_message(self._arm, self._stamp()))
+        self._contacts.publish(physics_report.contacts_message(self._arm, self._stamp()))
         for contact in contacts:
             if contact.touching:
                 self._warn(f'contact of {contact.link} with {contact.other}: at '
@@ -222,7 +220,7 @@ class MujocoHardwareNode(EndableNode):
             steps = self._arm.steps
             self._real_time_factor = (steps - self._reported_steps) * self._arm.step / since
             self._reported_at, self._reported_steps = now, steps
-            self._diagnostics.publish(self._report.state_message(
+            self._diagnostics.publish(physics_report.state_message(
                 self.get_fully_qualified_name(), self._arm, self._stamp(),
                 self._real_time_factor, self._lock_step.missed))
         if self._viewer is not None and now >= self._viewed_at + _VIEW_PERIOD:

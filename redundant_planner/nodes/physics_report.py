@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from redundant_planner.physics.arm import PhysicsArm
+if TYPE_CHECKING:  # others read the messages without MuJoCo
+    from redundant_planner.physics.arm import PhysicsArm
+
+CONTACTS, TORQUE_SHARE, TORQUE_JOINT = (
+    'contacts', 'largest share of the torque limit', 'joint of that share')
 
 
 def state_message(
@@ -31,10 +37,10 @@ def state_message(
     else:
         status.level, status.message = DiagnosticStatus.OK, 'no contact so far'
     status.values = _values({
-        'contacts': str(arm.contacts.count),
+        CONTACTS: str(arm.contacts.count),
         'deepest contact [m]': f'{max((c.deepest for c in contacts), default=0.0):.6f}',
-        'largest share of the torque limit': f'{arm.largest_share[worst]:.4f}',
-        'joint of that share': arm.ranges.names[worst],
+        TORQUE_SHARE: f'{arm.largest_share[worst]:.4f}',
+        TORQUE_JOINT: arm.ranges.names[worst],
         'torques [Nm, N]': ' '.join(f'{torque:.2f}' for torque in arm.torques),
         'real-time factor': f'{real_time_factor:.2f}',
         'obstacles': str(arm.obstacles),

@@ -30,7 +30,7 @@ _MOST = 60 * _RATE
 _TRIAL = 'import mujoco; mujoco.GLContext(16, 16)'
 _TRIAL_PATIENCE = 30.0
 # Where the camera stands: around the arm and above [degrees], and its distance in arm sizes.
-_AZIMUTH, _ELEVATION, _DISTANCE = 140.0, -22.0, 2.2
+_AZIMUTH, _ELEVATION, _DISTANCE = 130.0, -18.0, 1.5
 
 
 def choose_gl() -> str:
@@ -137,7 +137,7 @@ class Film:
 
 def _write_gif(path: Path, pictures: Iterator[Image]) -> None:
     from PIL import Image as Picture
-    first, *others = [Picture.fromarray(picture).quantize(64) for picture in pictures]
+    first, *others = [Picture.fromarray(picture).quantize(128) for picture in pictures]
     first.save(path, save_all=True, append_images=others, duration=1000 // _RATE, loop=0)
 
 

@@ -45,7 +45,7 @@ _SAMPLED_POSTURES = 64
 # How fast a joint that mimics another one is drawn to its place [s].
 _MIMIC_TIME = 0.005
 _ARM_COLOR = (0.85, 0.86, 0.88, 1.0)
-_SHADOWS = 2048
+_SKY, _HORIZON, _FLOOR = (0.55, 0.67, 0.8), (0.93, 0.95, 0.97), (0.8, 0.82, 0.84, 0.4)
 
 
 @dataclass(frozen=True)
@@ -184,9 +184,7 @@ def _spec(
     spec.option.gravity = parameters.gravity
     # Principal moments that break A + B ≥ C, as those of many URDFs do, are evened out.
     spec.compiler.balanceinertia = True
-    spec.visual.quality.shadowsize = _SHADOWS
-    spec.worldbody.add_light(
-        pos=(1.0, -1.5, 3.0), dir=(-0.3, 0.45, -0.9), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    _decorate(spec)
     bodies = {urdf.root: spec.worldbody.add_body(name=_body_name(urdf.root))}
     below: dict[str, list[Joint]] = {}
     for joint in urdf.joints:
@@ -217,6 +215,19 @@ def _spec(
             _add_servo(spec, joint.name)
     _add_mimics(spec, urdf)
     return spec
+
+
+def _decorate(spec: mujoco.MjSpec) -> None:
+    """Add light, sky and a floor that nothing touches, for those who look at it."""
+    spec.worldbody.add_light(
+        pos=(1.0, -1.5, 3.0), dir=(-0.3, 0.45, -0.9), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        castshadow=False)
+    spec.add_texture(
+        name='sky', type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, rgb1=_SKY, rgb2=_HORIZON,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, width=64, height=384)
+    spec.worldbody.add_geom(
+        name='floor', type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1.2, 1.2, 0.1), rgba=_FLOOR,
+        contype=0, conaffinity=0)
 
 
 def _add_link(
