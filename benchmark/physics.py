@@ -120,8 +120,8 @@ class Operator:
         Raises:
             LiveError: a process failed or something did not happen in time.
         """
-        self._wait(lambda: bool(self.commands) and bool(self.physics), processes,
-                   'joint_command', )
+        self._wait(lambda: bool(self.commands and self.physics), processes,
+                   'joint_command')
         message = messages.markers_of(self._task.obstacles, self._robot.base_frame)
         known = str(len(self._task.obstacles))
         last = -np.inf
@@ -162,15 +162,16 @@ class Operator:
         self.times.append(now)
         self.postures.append(messages.values_of(
             message.name, message.position, self._robot.joint_names, 'position'))
-        elapsed = now - self.begin
-        self._twist.publish(messages.twist_to_message(
-            self._task.twist_at(elapsed) if 0.0 <= elapsed <= DURATION else np.zeros(6)))
 
     def _on_command(self, message: JointState) -> None:
         names = self._robot.joint_names
         self.commands[round(messages.seconds_of(message.header.stamp), 6)] = (
             messages.values_of(message.name, message.position, names, 'position'),
             messages.values_of(message.name, message.velocity, names, 'velocity'))
+        # For the next tick: the planner has done this one.
+        elapsed = messages.seconds_of(message.header.stamp) + 1.0 / RATE - self.begin
+        self._twist.publish(messages.twist_to_message(
+            self._task.twist_at(elapsed) if 0.0 <= elapsed <= DURATION else np.zeros(6)))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.physics = physics_report.read_state(message) or self.physics
@@ -204,7 +205,7 @@ def run(robot: Robot, task: Task, domain_id: int, values: dict[str, object],
         operator = Operator(node, executor, robot, task)
         with Processes(domain_id) as processes:
             processes.start('mujoco_hardware_node', [_ROBOT_FILE], {
-                'clock': True, 'rate': RATE, 'initial_joints': list(robot.joint_names),
+                'clock': True, 'wait_for_cmd_vel': True, 'rate': RATE, 'initial_joints': list(robot.joint_names),
                 'initial_positions': task.start.tolist(), **urdf, **physics})
             processes.start('planner_node', [_ROBOT_FILE], {
                 'use_sim_time': True, 'rate': RATE, **urdf, **values})

@@ -1,17 +1,17 @@
-"""Decides when simulated time goes on: one period at a time, once the last one was answered."""
+"""Decides when simulated time goes on: one period at a time, once all have answered the last one."""
 
 from __future__ import annotations
 
 
 class LockStep:
-    """Waits for the command of each period, for as long as somebody commands at all.
+    """Waits in each period for those who have answered before.
 
     While nobody does, as before a planner has started, time goes on at its real pace: others need
     it to get there.
 
     Attributes:
-        in_step: whether the last period was answered, so that the next one will be waited for.
-        missed: periods that were waited for in vain.
+        in_step: who will be waited for, as they answered the last period.
+        missed: periods in which somebody was waited for in vain.
     """
 
     def __init__(self, period: float, factor: float, patience: float) -> None:
@@ -22,34 +22,35 @@ class LockStep:
             factor: how much faster than real time it may be; 0 for no limit.
             patience: how long an answer is waited for, in real time [s].
         """
-        self.in_step = False
+        self.in_step: set[str] = set()
         self.missed = 0
         self._pause = period / factor if factor > 0.0 else 0.0
         self._pace = period / (factor or 1.0)
         self._patience = patience
-        self._answered = False
+        self._answered: set[str] = set()
         self._began = float('-inf')
 
-    def answer(self) -> None:
-        """Note that the command of this period has come."""
-        self._answered = self.in_step = True
+    def answer(self, who: str) -> None:
+        """Note that somebody has answered this period."""
+        self._answered.add(who)
+        self.in_step.add(who)
 
     def is_due(self, now: float) -> bool:
         """Return whether the next period may begin, in real time [s]."""
         waited = now - self._began
         if not self.in_step:
             return waited >= self._pace
-        if self._answered:
+        if self.in_step <= self._answered:
             return waited >= self._pause
         if waited < self._patience:
             return False
-        self.in_step = False
+        self.in_step &= self._answered
         self.missed += 1
         return True
 
     def begin(self, now: float) -> None:
         """Note that the next period begins, in real time [s]."""
-        self._answered = False
+        self._answered = set()
         pace = self._pause if self.in_step else self._pace
         # Late by less than a period, it catches up.
         self._began = max(self._began + pace, now - pace)

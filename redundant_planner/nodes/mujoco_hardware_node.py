@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist
 import numpy as np
 import numpy.typing as npt
 from rclpy.clock import Clock, ClockType
@@ -134,6 +135,8 @@ class MujocoHardwareNode(EndableNode):
             JointState, 'joint_command', self._on_command, qos_profile_sensor_data)
         self.create_subscription(
             MarkerArray, 'obstacles', self._obstacles.on_message, 10, raw=True)
+        if self._settings.clock and self._settings.wait_for_cmd_vel:
+            self.create_subscription(Twist, 'cmd_vel', self._on_twist, 10, raw=True)
 
     def _on_command(self, message: JointState) -> None:
         names = self._arm.ranges.names
@@ -154,8 +157,12 @@ class MujocoHardwareNode(EndableNode):
         if self._clock is not None:
             stamp = message.header.stamp
             if stamp.sec * messages.NANOSECONDS + stamp.nanosec >= self._stamp_ns():
-                self._lock_step.answer()
+                self._lock_step.answer('joint_command')
                 self._go_on_if_due()
+
+    def _on_twist(self, raw: bytes) -> None:
+        self._lock_step.answer('cmd_vel')
+        self._go_on_if_due()
 
     def _now(self) -> float:
         """Return the time that the arm lives in [s]."""
