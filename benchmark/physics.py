@@ -1,8 +1,8 @@
 """Hard motions with live nodes on an arm with mass: `python -m benchmark.physics --help`.
 
-Each scenario of `benchmark/generator.py` gets a planner_node and a mujoco_hardware_node of its own,
-in a ROS domain of its own, in lock-step by simulated time: the results depend neither on how busy
-the machine is nor on how fast.
+Each scenario of `benchmark/generator.py` gets a planner_node and a mujoco_hardware_node, in a ROS
+domain of its own, in lock-step by simulated time: a busy machine takes longer, and that
+is all.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from rich.console import Console
 from rich.table import Table
 from sensor_msgs.msg import JointState
@@ -38,7 +38,8 @@ from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.resources import share_directory
 from redundant_planner.nodes import messages, physics_report
-from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+from redundant_planner.nodes.polled_subscription import PolledSubscription
+from redundant_planner.nodes.runtime import keep_off_shared_memory
 from redundant_planner.tools.child_processes import LiveError, Processes
 from redundant_planner.tools.reproduce_paper import find_panda, panda_urdf
 
@@ -53,6 +54,8 @@ TOLERANCE = 2e-3
 # How long anything may take in real time [s].
 _PATIENCE = 120.0
 _PROFILE_STEP = 0.02
+# Between two looks at what has come, in real time [s].
+_PAUSE = 3e-4
 
 
 @dataclass(frozen=True)
@@ -97,9 +100,9 @@ class Outcome:
 class Operator:
     """Sends a scenario's obstacles and twists, and writes down what the nodes say."""
 
-    def __init__(self, node: Node, executor: Executor, robot: Robot, task: Task) -> None:
+    def __init__(self, node: Node, robot: Robot, task: Task) -> None:
         """Connect to the nodes of one scenario."""
-        self._executor, self._robot, self._task = executor, robot, task
+        self._robot, self._task = robot, task
         self.times: list[float] = []
         self.postures: list[Array] = []
         self.commands: dict[float, tuple[Array, Array]] = {}
@@ -109,10 +112,13 @@ class Operator:
         self._twist = node.create_publisher(Twist, 'cmd_vel', 10)
         self._preview = node.create_publisher(MultiDOFJointTrajectory, 'cmd_vel_preview', 1)
         self._obstacles = node.create_publisher(MarkerArray, 'obstacles', 10)
-        node.create_subscription(JointState, 'joint_states', self._on_state, QoSProfile(depth=1000))
-        node.create_subscription(
-            JointState, 'joint_command', self._on_command, QoSProfile(depth=1000))
-        node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
+        many = QoSProfile(depth=10_000)
+        self._inboxes = [(PolledSubscription(node, kind, topic, many), kind, take)
+                         for kind, topic, take in (
+            (JointState, 'joint_states', self._on_state),
+            (DiagnosticArray, '/diagnostics', self._on_diagnostics),
+            (JointState, 'joint_command', self._on_command))]
+        self._answered = -np.inf
 
     def run(self, processes: Processes) -> float:
         """Play the whole scenario; return the real time of its motion [s].
@@ -120,8 +126,8 @@ class Operator:
         Raises:
             LiveError: a process failed or something did not happen in time.
         """
-        self._wait(lambda: bool(self.commands and self.physics), processes,
-                   'joint_command')
+        self._wait(lambda: bool(self.commands and self.physics)
+                   and self.planner.get('last word') == 'ready', processes, 'joint_command')
         message = messages.markers_of(self._task.obstacles, self._robot.base_frame)
         known = str(len(self._task.obstacles))
         last = -np.inf
@@ -152,10 +158,23 @@ class Operator:
     def _wait(self, done: Callable[[], bool], processes: Processes, what: str) -> None:
         deadline = time.monotonic() + _PATIENCE
         while not done():
-            self._executor.spin_once(timeout_sec=0.01)
+            self._look()
             processes.check()
+            time.sleep(_PAUSE)
             if time.monotonic() > deadline:
                 raise LiveError(f'waited {_PATIENCE:g} s in vain for {what}')
+
+    def _look(self) -> None:
+        """Take all messages that have come, and send the twist of the next tick."""
+        for inbox, kind, take in self._inboxes:
+            for raw in inbox.fetch():
+                take(deserialize_message(raw, kind))
+        if self.commands and (latest := next(reversed(self.commands))) > self._answered:
+            # The planner has done this tick: the twist is for its next one.
+            self._answered = latest
+            elapsed = latest + 1.0 / RATE - self.begin
+            self._twist.publish(messages.twist_to_message(
+                self._task.twist_at(elapsed) if 0.0 <= elapsed <= DURATION else np.zeros(6)))
 
     def _on_state(self, message: JointState) -> None:
         now = messages.seconds_of(message.header.stamp)
@@ -168,10 +187,6 @@ class Operator:
         self.commands[round(messages.seconds_of(message.header.stamp), 6)] = (
             messages.values_of(message.name, message.position, names, 'position'),
             messages.values_of(message.name, message.velocity, names, 'velocity'))
-        # For the next tick: the planner has done this one.
-        elapsed = messages.seconds_of(message.header.stamp) + 1.0 / RATE - self.begin
-        self._twist.publish(messages.twist_to_message(
-            self._task.twist_at(elapsed) if 0.0 <= elapsed <= DURATION else np.zeros(6)))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.physics = physics_report.read_state(message) or self.physics
@@ -199,13 +214,12 @@ def run(robot: Robot, task: Task, domain_id: int, values: dict[str, object],
     context = Context()
     rclpy.init(context=context, domain_id=domain_id)
     node = Node('operator', context=context, enable_rosout=False)
-    executor = best_executor(context)
-    executor.add_node(node)
     try:
-        operator = Operator(node, executor, robot, task)
+        operator = Operator(node, robot, task)
         with Processes(domain_id) as processes:
             processes.start('mujoco_hardware_node', [_ROBOT_FILE], {
-                'clock': True, 'wait_for_cmd_vel': True, 'rate': RATE, 'initial_joints': list(robot.joint_names),
+                'clock': True, 'wait_for_cmd_vel': True, 'answer_timeout': 10.0,
+                'rate': RATE, 'initial_joints': list(robot.joint_names),
                 'initial_positions': task.start.tolist(), **urdf, **physics})
             processes.start('planner_node', [_ROBOT_FILE], {
                 'use_sim_time': True, 'rate': RATE, **urdf, **values})
@@ -253,10 +267,13 @@ def print_table(title: str, outcomes: list[Outcome]) -> None:
     for name, value in {
             'scenarios': f'{len(outcomes)}',
             'contacts': f'{sum(o.contacts for o in outcomes)}',
-            'smallest distance to an obstacle': f'{1e3 * min(o.min_distance for o in outcomes):.1f} mm',
-            'largest distance from the path': f'{1e3 * max(o.path_error for o in outcomes):.2f} mm',
+            'smallest distance to an obstacle':
+                f'{1e3 * min(o.min_distance for o in outcomes):.1f} mm',
+            'largest distance from the path':
+                f'{1e3 * max(o.path_error for o in outcomes):.2f} mm',
             'largest lag': f'{1e3 * max(o.lag for o in outcomes):.2f} mm',
-            'further than 2 mm + lag': f'{sum(o.path_error > TOLERANCE + o.lag for o in outcomes)}',
+            'further than 2 mm + lag':
+                f'{sum(o.path_error > TOLERANCE + o.lag for o in outcomes)}',
             'largest share of a torque limit': f'{max(o.torque_share for o in outcomes):.0%}',
             'limit violations': f'{sum(o.limit_violation > 0.0 for o in outcomes)}',
             'completed': f'{sum(o.completed for o in outcomes)}',

@@ -1,6 +1,8 @@
-"""Decides when simulated time goes on: one period at a time, once all have answered the last one."""
+"""Decides when simulated time goes on: by a period, once all have answered the last one."""
 
 from __future__ import annotations
+
+import math
 
 
 class LockStep:
@@ -28,7 +30,7 @@ class LockStep:
         self._pace = period / (factor or 1.0)
         self._patience = patience
         self._answered: set[str] = set()
-        self._began = float('-inf')
+        self._began = -math.inf
 
     def answer(self, who: str) -> None:
         """Note that somebody has answered this period."""
@@ -53,4 +55,5 @@ class LockStep:
         self._answered = set()
         pace = self._pause if self.in_step else self._pace
         # Late by less than a period, it catches up.
-        self._began = max(self._began + pace, now - pace)
+        late = now - (self._began + pace)
+        self._began = now - min(max(late, 0.0), pace) if math.isfinite(late) else now

@@ -117,6 +117,11 @@ class PhysicsArm:
         return self._arm.effort_max.copy()
 
     @property
+    def stiffness(self) -> Array:
+        """Of the servo (n,) [Nm/rad, N/m]."""
+        return self._arm.stiffness.copy()
+
+    @property
     def model(self) -> mujoco.MjModel:
         """The model, for those who look at it."""
         return self._arm.model
@@ -187,10 +192,9 @@ class PhysicsArm:
             self._velocity = np.zeros_like(self._velocity)
         q = self._data.qpos[self._arm.positions]
         wanted = self._reference + self.step * self._velocity
-        self._reference = np.clip(
-            np.clip(wanted, self.ranges.position_min, self.ranges.position_max),
-            q - self._lead, q + self._lead)
-        return np.where(self._reference == wanted, self._velocity, 0.0)
+        allowed = np.clip(wanted, self.ranges.position_min, self.ranges.position_max)
+        self._reference = np.clip(allowed, q - self._lead, q + self._lead)
+        return np.where(allowed == wanted, self._velocity, 0.0)
 
     def _believed_need(self) -> Array:
         """Return what gravity and motion take of each joint (n,), by the nominal model."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
+# Two that touch again this soon have bounced: that is still one contact [s].
+_BOUNCE = 0.1
+
 
 class Contact(NamedTuple):
     """All that happened between a link and an obstacle, or another link.
@@ -59,11 +62,11 @@ class ContactLog:
         now = set()
         for link, other, depth in touches:
             key = link, other
-            before = self._found.get(key, Contact(link, other, 0, 0.0, time, time, False))
-            begins = key not in self._touching and key not in now
             now.add(key)
+            before = self._found.get(key, Contact(link, other, 1, 0.0, time, time, False))
+            again = key not in self._touching and time - before.last > _BOUNCE
             self._found[key] = before._replace(
-                times=before.times + begins, deepest=max(before.deepest, depth), last=time,
+                times=before.times + again, deepest=max(before.deepest, depth), last=time,
                 touching=True)
         for key in self._touching - now:
             self._found[key] = self._found[key]._replace(touching=False)
