@@ -17,8 +17,8 @@ def test_without_anybody_it_goes_on_at_its_real_pace():
     steps.begin(10.006)
     assert not steps.is_due(10.0079) and steps.is_due(10.0081)
     steps.begin(11.0)
-    assert steps.is_due(11.0)
-    steps.begin(11.0)
+    assert steps.is_due(11.0001)
+    steps.begin(11.0001)
     assert not steps.is_due(11.0039) and steps.is_due(11.0041) and not steps.missed
 
 
