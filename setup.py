@@ -10,6 +10,8 @@ SHARE = f'share/{PACKAGE}'
 # The real ROS 2 Jazzy as wheels; with ROS sourced, apt has them already.
 JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'plotly>=5.15', 'rich>=13']
+# mujoco_hardware_node: an arm with mass (Apache-2.0).
+MUJOCO = ['mujoco>=3.2']
 # For `python -m benchmark.…` alone: what is compared with, and the optimum.
 BENCHMARK = ['casadi', 'mink', 'pin-pink']
 # `make docs`; furo is the theme (MIT), myst-parser reads Markdown (MIT).
@@ -19,7 +21,7 @@ BROWSER = ['PySide6-WebEngine']
 TEST = [
     'colcon-bash', 'colcon-core', 'colcon-package-information', 'colcon-python-setup-py',
     'colcon-ros', 'example-robot-data', 'hypothesis', 'mypy', 'pytest', 'pytest-rerunfailures',
-    'ruff', 'types-PyYAML',
+    'ruff', 'types-PyYAML', *MUJOCO,
 ]
 
 setup(
@@ -39,7 +41,7 @@ setup(
     install_requires=['setuptools', 'numpy>=1.26', 'numba>=0.59', 'scipy>=1.8', 'pin>=3',
                       'daqp>=0.5', 'PyYAML>=6'],
     extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'benchmark': BENCHMARK, 'test': TEST,
-                    'browser': BROWSER, 'docs': DOCS},
+                    'browser': BROWSER, 'docs': DOCS, 'mujoco': MUJOCO},
     zip_safe=False,
     maintainer='redundant_planner developers',
     maintainer_email='maintainers@example.com',
@@ -49,6 +51,7 @@ setup(
         'console_scripts': [
             f'planner_node = {PACKAGE}.nodes.planner_node:main',
             f'fake_hardware_node = {PACKAGE}.nodes.fake_hardware_node:main',
+            f'mujoco_hardware_node = {PACKAGE}.nodes.mujoco_hardware_node:main',
             f'scenario_player = {PACKAGE}.nodes.scenario_player:main',
             f'cloud_obstacles = {PACKAGE}.nodes.cloud_obstacles:main',
             f'depth_camera = {PACKAGE}.nodes.depth_camera:main',

@@ -1,6 +1,7 @@
 """Planner, fake hardware and a scenario's player: `ros2 launch redundant_planner demo.launch.py`.
 
-With `play:=false` nothing is played and the arm waits for cmd_vel.
+With `play:=false` nothing is played and the arm waits for cmd_vel. With
+`hardware:=mujoco_hardware_node` the arm has mass, drives and contacts.
 """
 
 from pathlib import Path
@@ -23,6 +24,9 @@ def generate_launch_description() -> LaunchDescription:
                               description='scenario file: robot, start posture, twist, obstacles'),
         DeclareLaunchArgument('params', default_value=str(config / 'planner' / 'default.yaml'),
                               description='parameter file for the planner'),
+        DeclareLaunchArgument('hardware', default_value='fake_hardware_node',
+                              description='the simulated arm: fake_hardware_node, or '
+                                          'mujoco_hardware_node, which has mass'),
         DeclareLaunchArgument('play', default_value='true',
                               description='whether to play the twist of the scenario'),
         DeclareLaunchArgument('rviz', default_value='false',
@@ -39,7 +43,7 @@ def _nodes(context) -> list[Node]:
     start = {'initial_joints': list(scenario.start),
              'initial_positions': list(scenario.start.values())}
     return [
-        Node(package='redundant_planner', executable='fake_hardware_node',
+        Node(package='redundant_planner', executable=LaunchConfiguration('hardware'),
              parameters=[robot, start], output='screen'),
         Node(package='redundant_planner', executable='planner_node',
              parameters=[robot, LaunchConfiguration('params')], output='screen'),

@@ -22,7 +22,7 @@ FORKS = get_context('forkserver')
 FORKS.set_forkserver_preload([
     __name__, *(f'redundant_planner.nodes.{node}' for node in (
         'planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
-        'depth_camera'))])
+        'depth_camera', 'mujoco_hardware_node'))])
 
 
 class ForkedProcesses(Processes):
@@ -31,12 +31,13 @@ class ForkedProcesses(Processes):
     def start(
         self, node: str | Path, files: Sequence[Path] = (),
         values: Mapping[str, object] | None = None, remap: Mapping[str, str] | None = None,
-        name: str = '',
+        name: str = '', options: Sequence[str] = (),
     ) -> Forked | subprocess.Popen[bytes]:
         """Start a node of this package; arguments as in `Processes.start`."""
         if isinstance(node, Path):  # a script, which gets an interpreter of its own
-            return super().start(node, files, values, remap, name)
-        child = Forked(node, ros_arguments(files, values, remap), self.environment)
+            return super().start(node, files, values, remap, name, options)
+        child = Forked(node, [*options, *ros_arguments(files, values, remap)],
+                       self.environment)
         self._children[name or f'{node} {len(self._children)}'] = child
         return child
 

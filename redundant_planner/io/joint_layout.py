@@ -31,6 +31,7 @@ class JointLayout(NamedTuple):
         order: of the bytes, as struct and NumPy call it: '<' or '>'.
         size: of the message.
         fixed: where the bytes lie that tell this layout, first and last each.
+        efforts: offset of the first effort, 0 where there are none.
     """
 
     names: tuple[str, ...]
@@ -39,6 +40,7 @@ class JointLayout(NamedTuple):
     order: str
     size: int
     fixed: tuple[tuple[int, int], ...]
+    efforts: int
 
     def fits(self, one: bytes, other: bytes) -> bool:
         """Return whether a message has the layout of another one, whose layout this is."""
@@ -97,4 +99,4 @@ def _layout(raw: bytes) -> JointLayout:
         if at > len(raw):
             raise LayoutError('the bytes are no JointState: they end too early')
     return JointLayout(tuple(names), offsets['position'], offsets['velocity'], order, len(raw),
-                       tuple(fixed))
+                       tuple(fixed), offsets['effort'])

@@ -26,6 +26,7 @@ from redundant_planner.io.node_parameters import (
     PlayerParameters,
 )
 from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
+from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
 from redundant_planner.io.renamed_parameters import flat, what_became_of
 from redundant_planner.io.resources import read_text, resolve, yaml_content
 
@@ -178,7 +179,8 @@ def read_parameter_file(path: Path) -> dict[str, Any]:
 def known_parameters() -> list[str]:
     """Return the names that a file for this package's nodes may set."""
     groups = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
-              PlayerParameters, CloudParameters, CameraParameters)
+              PlayerParameters, CloudParameters, CameraParameters, PhysicsParameters,
+              MujocoHardwareParameters)
     return [*(ros_name(entry) for group in groups for entry in fields(group)
               if spec_of(entry).node), *_NAMED, *_EVERY_NODES]
 

@@ -75,25 +75,31 @@ class JointReader:
 
 
 class JointWriter:
-    """Writes positions and velocities of the same joints again and again."""
+    """Writes positions and velocities of the same joints again and again, and maybe efforts."""
 
-    def __init__(self, joint_names: Sequence[str]) -> None:
-        """Write the n joints of these names."""
+    def __init__(self, joint_names: Sequence[str], *, effort: bool = False) -> None:
+        """Write the n joints of these names, with their efforts if that is asked for."""
         zeros = [0.0] * len(joint_names)
-        self._bytes = bytearray(serialize_message(
-            JointState(name=list(joint_names), position=zeros, velocity=zeros)))
+        self._bytes = bytearray(serialize_message(JointState(
+            name=list(joint_names), position=zeros, velocity=zeros,
+            effort=zeros if effort else [])))
         self._layout = joint_layout(bytes(self._bytes))
         self._stamp = struct.Struct(f'{self._layout.order}iI')
         self._numbers = struct.Struct(f'{self._layout.order}{len(zeros)}d')
 
-    def message(self, stamp_ns: int, positions: Array, velocities: Array) -> bytes:
+    def message(
+        self, stamp_ns: int, positions: Array, velocities: Array, efforts: Array | None = None,
+    ) -> bytes:
         """Return a serialised JointState, to be published as it is.
 
         Args:
             stamp_ns: [ns].
             positions, velocities: (n,) [rad, m; per s].
+            efforts: (n,) [Nm, N], for a writer of efforts.
         """
         self._stamp.pack_into(self._bytes, STAMP, *divmod(stamp_ns, NANOSECONDS))
         self._numbers.pack_into(self._bytes, self._layout.positions, *positions.tolist())
         self._numbers.pack_into(self._bytes, self._layout.velocities, *velocities.tolist())
+        if efforts is not None:
+            self._numbers.pack_into(self._bytes, self._layout.efforts, *efforts.tolist())
         return bytes(self._bytes)

@@ -27,6 +27,7 @@ from redundant_planner.io.node_parameters import (
 from redundant_planner.io.obstacle_entries import POSE_SIZES
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
+from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
 from redundant_planner.io.renamed_parameters import what_became_of
 from redundant_planner.nodes.disputed_parameters import disputed
 from redundant_planner.nodes.rclpy_internals import given_parameters
@@ -165,7 +166,7 @@ def unknown_parameters(node: Node) -> list[str]:
     names = {*_ROS, *node.list_parameters([], 0).names}
     for settings in (RobotParameters, PlannerParameters, PlannerNodeParameters,
                      FakeHardwareParameters, PlayerParameters, CloudParameters,
-                     CameraParameters):
+                     CameraParameters, PhysicsParameters, MujocoHardwareParameters):
         names |= {ros_name(entry) for entry in fields(settings) if spec_of(entry).node}
     not_mine = ['qos_overrides.']
     for prefix, listed, sizes in (
@@ -254,6 +255,8 @@ def parameter_page() -> str:
             ('planner_node: the mathematics', PlannerParameters),
             ('planner_node: the loop', PlannerNodeParameters),
             ('fake_hardware_node', FakeHardwareParameters),
+            ('mujoco_hardware_node', MujocoHardwareParameters),
+            ('mujoco_hardware_node: the physics', PhysicsParameters),
             ('scenario_player', PlayerParameters),
             ('cloud_obstacles', CloudParameters),
             ('depth_camera', CameraParameters)):

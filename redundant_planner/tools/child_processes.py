@@ -64,7 +64,7 @@ class Processes:
     def start(
         self, node: str | Path, files: Sequence[Path] = (),
         values: Mapping[str, object] | None = None, remap: Mapping[str, str] | None = None,
-        name: str = '',
+        name: str = '', options: Sequence[str] = (),
     ) -> subprocess.Popen[bytes]:
         """Start a node of this package.
 
@@ -75,16 +75,29 @@ class Processes:
             values: single parameters, which win over the files.
             remap: names to remap.
             name: what to call it where several of the same kind run.
+            options: of its own, ahead of those of ROS.
         """
         program = ([str(node)] if isinstance(node, Path)
                    else ['-m', f'redundant_planner.nodes.{node}'])
-        command = [sys.executable, *program, *ros_arguments(files, values, remap)]
+        command = [sys.executable, *program, *options, *ros_arguments(files, values, remap)]
         # A session of its own, so that Ctrl-C reaches us alone and the end is in our order;
         # and a death signal, so that nothing stays behind even if we are killed.
         child = subprocess.Popen(command, env=self.environment, start_new_session=True,
                                  preexec_fn=partial(die_with, os.getpid()))
         self._children[name or f'{node} {len(self._children)}'] = child
         return child
+
+    def end(self, child: subprocess.Popen[bytes], patience: float) -> None:
+        """Ask a child to end, and wait while it finishes its work [s].
+
+        Raises:
+            LiveError: it takes longer.
+        """
+        child.terminate()
+        try:
+            child.wait(patience)
+        except subprocess.TimeoutExpired:
+            raise LiveError(f'a process did not end within {patience:g} s') from None
 
     def check(self) -> None:
         """Raise a LiveError if a child has ended with an error."""

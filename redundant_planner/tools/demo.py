@@ -18,17 +18,23 @@ from redundant_planner.analysis import metrics
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.figures import motion_picture
 from redundant_planner.analysis.report import write_report
-from redundant_planner.core.errors import PlannerError
+from redundant_planner.core.errors import PlannerError, RobotError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.recording import JointLog, read_recording, Recording
 from redundant_planner.io.resources import resolve
 from redundant_planner.io.scenario import load_scenario, Scenario
+from redundant_planner.nodes.physics_report import CONTACTS, TORQUE_JOINT, TORQUE_SHARE
+from redundant_planner.physics import require_mujoco
 from redundant_planner.tools.live_run import LiveRun, play
+from redundant_planner.tools.reproduce_paper import panda_urdf
 
 Array = npt.NDArray[np.float64]
 
 DEFAULT_SCENARIO = 'package://redundant_planner/config/scenarios/paper.yaml'
+# With --physics, and the robot file whose URDF may lie elsewhere.
+PHYSICS_SCENARIO = 'package://redundant_planner/config/scenarios/panda_obstacles.yaml'
+_PANDA = 'panda.yaml'
 # How long before and after the commanded motion the arm is looked at [s].
 _MARGIN = 0.2
 
@@ -106,35 +112,74 @@ def print_summary(
             f'longest {1e3 * periods.longest:.3f} ms'),
         'planner process': f'{100 * run.planner_cpu:.0f} % of one core',
     }
+    if run.physics:
+        rows['contacts'] = run.physics[CONTACTS]
+        rows['largest share of a torque limit'] = (
+            f'{float(run.physics[TORQUE_SHARE]):.0%} ({run.physics[TORQUE_JOINT]})')
     for name, value in rows.items():
         motion.add_row(name, value)
     console.print(motion)
 
 
+def _panda_urdf(scenario: Scenario) -> str:
+    """Return where a Panda's URDF is; empty for a scenario of another robot.
+
+    Raises:
+        RobotError: this machine has none.
+    """
+    if scenario.robot_file.name != _PANDA:
+        return ''
+    found = panda_urdf()
+    if found is None:
+        raise RobotError('no URDF of a Panda on this machine: pip install example-robot-data, or '
+                         'give --urdf')
+    return str(found)
+
+
+def _physics_options(options: argparse.Namespace) -> list[str]:
+    """Return the options that are passed on to mujoco_hardware_node."""
+    viewer = ['--viewer'] if options.viewer else []
+    return viewer + (['--record', str(options.record.resolve())] if options.record else [])
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the demo; return the process's exit status."""
     parser = argparse.ArgumentParser(prog='demo', description=__doc__)
-    parser.add_argument('--scenario', default=DEFAULT_SCENARIO, help='scenario file to play')
+    parser.add_argument('--scenario', help=f'scenario file to play (default: {DEFAULT_SCENARIO}; '
+                        f'with --physics {PHYSICS_SCENARIO})')
+    parser.add_argument('--physics', action='store_true',
+                        help='play it on an arm with mass, drives and contacts (MuJoCo)')
+    parser.add_argument('--viewer', action='store_true',
+                        help="with --physics: open MuJoCo's viewer")
+    parser.add_argument('--record', type=Path, metavar='FILE',
+                        help='with --physics: write a film, .gif or .mp4')
     parser.add_argument('--params', action='append', default=[], type=Path, metavar='FILE',
                         help='parameter file for the planner; may be given more than once')
     parser.add_argument('--urdf', help="URDF to use instead of the robot file's")
     parser.add_argument('--out', type=Path, default=Path('demo_output'),
                         help='folder for the bag and the picture (default: %(default)s)')
     options = parser.parse_args(args)
+    if (options.viewer or options.record) and not options.physics:
+        parser.error('--viewer and --record show the physics: give --physics as well')
     console = Console()
     # Ended politely, it cleans up as it does after Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        path = resolve(options.scenario)
+        if options.physics:
+            require_mujoco()
+        path = resolve(options.scenario or (
+            PHYSICS_SCENARIO if options.physics else DEFAULT_SCENARIO))
         scenario = load_scenario(path)
-        changes = {'urdf': options.urdf} if options.urdf else {}
+        urdf = options.urdf or (_panda_urdf(scenario) if options.physics else '')
+        changes = {'urdf': urdf} if urdf else {}
         robot = scenario.load_robot(**changes)
         options.out.mkdir(parents=True, exist_ok=True)
         bag = options.out / scenario.name
         shutil.rmtree(bag, ignore_errors=True)
         console.print(f"playing '{scenario.name}' for {scenario.duration:g} s …")
         run = play(scenario, path, bag, planner_files=[p.resolve() for p in options.params],
-                   planner_values=changes)
+                   planner_values=changes,
+                   physics=_physics_options(options) if options.physics else None)
         recording = read_recording(bag)
         summary = summarise(robot, recording)
         print_summary(console, scenario, robot, summary, run)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from operator import itemgetter
 import os
 from pathlib import Path
@@ -15,6 +15,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
@@ -22,6 +23,7 @@ from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.scenario import Scenario
+from redundant_planner.nodes import physics_report
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.runtime import keep_off_shared_memory
 from redundant_planner.tools.child_processes import cpu_seconds, LiveError, Processes
@@ -40,9 +42,13 @@ _TOPICS = {
     'planner_node/ticks': (Float64MultiArray, 'std_msgs/msg/Float64MultiArray'),
     'diagnostics': (DiagnosticArray, 'diagnostic_msgs/msg/DiagnosticArray'),
 }
-_LATCHED = ('robot_description', 'planner_node/configuration', 'planner_node/ticks')
+# Of an arm with mass besides.
+_CONTACTS = 'mujoco_hardware_node/contacts'
+_LATCHED = (_CONTACTS, 'robot_description', 'planner_node/configuration', 'planner_node/ticks')
 # How long processes get to start, on a busy machine too [s].
 _START_PATIENCE = 120.0
+# How long the arm's process may draw a film after the motion [s].
+_FILM_PATIENCE = 300.0
 # How often what has come is recorded [s].
 _LOOK = 0.02
 
@@ -54,18 +60,21 @@ class LiveRun:
     Attributes:
         bag: the bag's folder.
         planner_cpu: share of one core that the planner's process used during the motion.
+        physics: what an arm with mass last said of itself in /diagnostics; empty for an ideal one.
     """
 
     bag: Path
     planner_cpu: float
+    physics: Mapping[str, str] = field(default_factory=dict)
 
 
 def play(
     scenario: Scenario, scenario_file: Path, bag: Path, *, planner_files: Sequence[Path] = (),
     planner_values: Mapping[str, object] | None = None, camera_files: Sequence[Path] = (),
     domain_id: int | None = None, kind: type[Processes] = Processes,
+    physics: Sequence[str] | None = None,
 ) -> LiveRun:
-    """Play a scenario through planner_node and fake_hardware_node and record it.
+    """Play a scenario through planner_node and a simulated arm and record it.
 
     Args:
         scenario: the scenario, as loaded from
@@ -77,6 +86,8 @@ def play(
             there are any, the scenario's obstacles are shown to the camera alone.
         domain_id: ROS domain; one derived from the process number if not given.
         kind: of processes the nodes are.
+        physics: options of mujoco_hardware_node, which is the arm then; None for
+            fake_hardware_node.
 
     Raises:
         LiveError: a process failed or the motion did not end in time.
@@ -94,8 +105,10 @@ def play(
         with kind(domain_id) as processes, BagWriter(bag) as writer:
             node = Node('recorder', context=context, enable_rosout=False,
                         start_parameter_services=False)
-            recorder = _Recorder(node, writer)
-            processes.start('fake_hardware_node', [scenario.robot_file], {**arm, **urdf})
+            recorder = _Recorder(node, writer, () if physics is None else (_CONTACTS,))
+            hardware = processes.start(
+                'fake_hardware_node' if physics is None else 'mujoco_hardware_node',
+                [scenario.robot_file], {**arm, **urdf}, options=physics or ())
             for name in ('depth_camera', 'cloud_obstacles') if camera_files else ():
                 processes.start(name, [scenario.robot_file, *camera_files], urdf)
             planner = processes.start(
@@ -115,10 +128,13 @@ def play(
                         scenario.duration + _START_PATIENCE, 'the player did not end')
             share = (cpu_seconds(planner.pid) - used) / (time.monotonic() - begin)
             recorder.record()
+            if physics:  # the planner first, which would miss the arm
+                processes.end(planner, _FILM_PATIENCE)
+                processes.end(hardware, _FILM_PATIENCE)
             node.destroy_node()
     finally:
         rclpy.shutdown(context=context)
-    return LiveRun(bag, share)
+    return LiveRun(bag, share, recorder.physics)
 
 
 def _wait_until(
@@ -153,14 +169,17 @@ class _Recorder:
 
     Attributes:
         seen: topics of which there was a message.
+        physics: the latest entry of an arm with mass in /diagnostics.
     """
 
-    def __init__(self, node: Node, writer: BagWriter) -> None:
-        """Subscribe on a node."""
+    def __init__(self, node: Node, writer: BagWriter, reports: Sequence[str]) -> None:
+        """Subscribe on a node, to topics of reports besides."""
         self.seen: set[str] = set()
+        self.physics: dict[str, str] = {}
         self._writer = writer
         self._inboxes = {}
-        for topic, (message_class, message_type) in _TOPICS.items():
+        for topic, (message_class, message_type) in (
+                _TOPICS | dict.fromkeys(reports, _TOPICS['diagnostics'])).items():
             writer.add_topic(f'/{topic}', message_type)
             self._inboxes[topic] = PolledSubscription(node, message_class, topic, QoSProfile(
                 depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL if topic in _LATCHED
@@ -172,4 +191,7 @@ class _Recorder:
                     for message, time_ns in inbox.fetch_stamped()]
         for time_ns, topic, message in sorted(messages, key=itemgetter(0)):
             self.seen.add(topic)
+            if topic == 'diagnostics':
+                self.physics = physics_report.read_state(
+                    deserialize_message(message, DiagnosticArray)) or self.physics
             self._writer.write(f'/{topic}', time_ns, message)

@@ -1,0 +1,111 @@
+"""What mujoco_hardware_node needs besides the robot.
+
+Not in nodes/, for tools without ROS read the same parameter files.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from redundant_planner.core.errors import ParameterError
+from redundant_planner.core.parameters import check, parameter
+
+VELOCITY_SERVO, POSITION_SERVO, NO_SERVO = 'velocity', 'position', 'off'
+
+
+@dataclass(frozen=True)
+class PhysicsParameters:
+    """How the simulated arm's joints and drives differ from ideal ones.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    physics_rate: int = parameter(
+        1000, low=100, high=10_000, unit='Hz',
+        description='Steps of physics and servo in a second. A slow rate makes contacts soft and '
+                    'the servo shake.')
+    servo: str = parameter(
+        VELOCITY_SERVO, choices=(VELOCITY_SERVO, POSITION_SERVO, NO_SERVO),
+        description='What joint_command means to the drives: velocity (they integrate it to the '
+                    'position that they hold), position, or off: no torque, the arm falls.')
+    servo_bandwidth: float = parameter(
+        15.0, low=0.5, high=100.0, unit='Hz',
+        description='Natural frequency f of the servo, critically damped. The stiffness of a '
+                    "joint is (2πf)² times the largest inertia about it. Real arms' are 5 to "
+                    '30 Hz; a slow servo sags and lags.')
+    armature: float = parameter(
+        0.1, low=0.0, high=100.0, unit='kg m², kg',
+        description="Inertia of a drive's rotor behind its gear, the gear's ratio squared times "
+                    'as large. Without it small links shake.')
+    joint_damping: float = parameter(
+        1.0, low=0.0, high=1000.0, unit='Nm s/rad, N s/m',
+        description='Viscous friction of each joint, which the servo does not know of.')
+    gravity: tuple[float, ...] = parameter(
+        (0.0, 0.0, -9.81), low=-100.0, high=100.0, size=3, unit='m/s²',
+        description="Gravity in the axes of the URDF's root link: other than downwards for an arm "
+                    'on a wall or a ceiling.')
+    mass_error: float = parameter(
+        0.0, low=-0.9, high=10.0,
+        description='How much heavier the simulated arm is than its URDF says, as a share: 0.2 '
+                    'for 20 % more mass and inertia of every link. The servo compensates the '
+                    "URDF's.")
+    lag: float = parameter(
+        0.0, low=0.0, high=1.0, unit='s',
+        description='Dead time between a command and the motion it causes.')
+    command_timeout: float = parameter(
+        0.05, low=0.001, high=10.0, unit='s',
+        description='The arm holds still when no joint_command came for this long.')
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check(self)
+
+
+@dataclass(frozen=True)
+class MujocoHardwareParameters:
+    """What mujoco_hardware_node needs besides the robot and the physics.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    rate: int = parameter(
+        250, low=1, high=1000, unit='Hz',
+        description="Rate of joint_states, and of /clock: there it must be planner_node's.")
+    initial_joints: tuple[str, ...] = parameter(
+        (), description='Joints that do not start at 0.')
+    initial_positions: tuple[float, ...] = parameter(
+        (), low=-1e6, high=1e6, unit='rad, m',
+        description='One start position per name in initial_joints.')
+    noise: float = parameter(
+        0.0, low=0.0, high=0.1, unit='rad, m',
+        description='Standard deviation of the noise on published positions.')
+    clock: bool = parameter(
+        False, description='Whether the node publishes /clock, for other nodes with use_sim_time. '
+                           'Each period of physics then waits for the joint_command of the last '
+                           'one, and takes no longer than that.')
+    wait_for_cmd_vel: bool = parameter(
+        False, description='With clock: whether each period waits for a cmd_vel (Twist), too. Its '
+                           'sender publishes one per joint_command. No twist comes late then.')
+    real_time_factor: float = parameter(
+        0.0, low=0.0, high=1000.0,
+        description='With clock: how much faster than real time it may be; 0 for as fast as the '
+                    'nodes can.')
+    answer_timeout: float = parameter(
+        0.5, low=0.01, high=60.0, unit='s',
+        description='With clock: how long physics waits for an answer, in real time. '
+                    'Nobody who answers: time goes on at its real pace. Short, and a planner '
+                    'that the system interrupts loses the step.')
+    thread_priority: int = parameter(
+        40, low=0, high=98,
+        description='Real-time priority (SCHED_FIFO), where the system grants it; 0 for none. '
+                    'Without it a busy machine interrupts joint_states, as no real arm would.')
+
+    def __post_init__(self) -> None:
+        """Check every value and the relations between them."""
+        check(self)
+        if len(self.initial_joints) != len(self.initial_positions):
+            raise ParameterError(
+                f"parameter 'initial_positions' has {len(self.initial_positions)} entries; it "
+                f"takes {len(self.initial_joints)}, one per name in 'initial_joints'")

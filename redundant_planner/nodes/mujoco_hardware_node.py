@@ -1,0 +1,301 @@
+"""mujoco_hardware_node: an arm with mass among obstacles obeys joint_command, by MuJoCo."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+import sys
+import time
+from typing import Any, NamedTuple
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist
+import numpy as np
+import numpy.typing as npt
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
+from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from redundant_planner.core.errors import known, ParameterError, StateError
+from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.parameter_files import RobotParameters, urdf_text
+from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
+from redundant_planner.nodes import messages, physics_report, runtime
+from redundant_planner.nodes.endable_node import EndableNode
+from redundant_planner.nodes.joint_messages import JointWriter
+from redundant_planner.nodes.lock_step import LockStep
+from redundant_planner.nodes.obstacle_input import ObstacleInput
+from redundant_planner.nodes.ros_parameters import (
+    CAPSULE,
+    declare,
+    declare_entries,
+    unknown_parameters,
+)
+from redundant_planner.nodes.throttled_log import ThrottledLog
+from redundant_planner.nodes.transforms import transform_lookup
+from redundant_planner.physics import PhysicsError, require_mujoco
+from redundant_planner.physics.film import check_file, choose_gl, Film
+
+Array = npt.NDArray[np.float64]
+
+# Period of /diagnostics [s], and of the viewer's pictures.
+_REPORT_PERIOD, _VIEW_PERIOD = 0.2, 1.0 / 30.0
+# Against real time the arm does not catch up with more than this [s].
+_LONGEST_STANDSTILL = 0.25
+# How often the node looks whether simulated time goes on without an answer [s].
+_LOOK = 1e-3
+
+
+class Options(NamedTuple):
+    """The command line beside ROS arguments.
+
+    Attributes:
+        viewer: whether to open MuJoCo's own viewer.
+        record: the film to write; None for none.
+    """
+
+    viewer: bool
+    record: Path | None
+
+
+class MujocoHardwareNode(EndableNode):
+    """Stands in for an arm: its drives obey as far as torque, inertia and contacts let them."""
+
+    def __init__(self, options: Options) -> None:
+        """Build the arm and stand at the start posture.
+
+        Raises:
+            PlannerError: a parameter or the URDF is wrong, or MuJoCo is not installed.
+        """
+        film_refused = _prepare_film(options)
+        require_mujoco()
+        # Not at the top: without MuJoCo this node has to say so.
+        from redundant_planner.io.robot_files import build_robot
+        from redundant_planner.physics.arm import PhysicsArm
+        super().__init__('mujoco_hardware_node')
+        logger = self.get_logger()
+        self._warn = ThrottledLog(logger.warning)
+        robot_parameters = declare(self, RobotParameters)
+        physics = declare(self, PhysicsParameters)
+        self._settings = settings = declare(self, MujocoHardwareParameters)
+        capsules = declare_entries(self, 'capsule', robot_parameters.capsules, CAPSULE)
+        for sentence in unknown_parameters(self):
+            logger.warning(sentence)
+        urdf = urdf_text(robot_parameters)
+        if not urdf:
+            raise ParameterError("parameter 'urdf' is empty; give the URDF to simulate")
+        robot = build_robot(robot_parameters, urdf, capsules, say=logger.info, warn=logger.warning)
+        self._arm = PhysicsArm(robot, physics, dict(
+            zip(settings.initial_joints, settings.initial_positions)))
+        for sentence in (*self._arm.remarks, *film_refused):
+            logger.warning(sentence)
+        self._random = np.random.default_rng(0)
+        self._period = 1.0 / settings.rate
+        self._obstacles = ObstacleInput(
+            'obstacles', ObstacleTracker((), sorted({robot.base_frame, ''}),
+                                         transform=transform_lookup(self, robot.base_frame)),
+            self._period, self.guard, self._warn)
+        self._film = (Film(options.record, self._arm.model)
+                      if options.record is not None and not film_refused else None)
+        self._viewer = self._opened_viewer() if options.viewer else None
+        self._viewed_at = self._reported_at = -np.inf
+        self._reported_steps = 0
+        self._said_contacts: tuple[tuple[int, bool], ...] = ()
+        self._real_time_factor = 0.0
+        self._connect(urdf)
+        # Simulated time, in periods of joint_states [s].
+        self._ticks = 0
+        self._lock_step = LockStep(
+            self._period, settings.real_time_factor, settings.answer_timeout)
+        self.create_timer(
+            _LOOK if settings.clock else self._period,
+            self._go_on_if_due if settings.clock else self._follow_real_time,
+            clock=Clock(clock_type=ClockType.STEADY_TIME))
+        runtime.request_priority(settings.thread_priority)
+        logger.info(f'simulating {", ".join(self._arm.ranges.names)} at {physics.physics_rate} Hz')
+
+    def _connect(self, urdf: str) -> None:
+        """Create publishers and subscriptions."""
+        self._states = self.create_publisher(JointState, 'joint_states', 10)
+        self._writer = JointWriter(self._arm.ranges.names, effort=True)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._description = self.create_publisher(String, 'robot_description', latched)
+        self._description.publish(String(data=urdf))
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._contacts = self.create_publisher(DiagnosticArray, '~/contacts', latched)
+        self._clock = (self.create_publisher(ClockMessage, '/clock', 10)
+                       if self._settings.clock else None)
+        self.create_subscription(
+            JointState, 'joint_command', self._on_command, qos_profile_sensor_data)
+        self.create_subscription(
+            MarkerArray, 'obstacles', self._obstacles.on_message, 10, raw=True)
+        if self._settings.clock and self._settings.wait_for_cmd_vel:
+            self.create_subscription(Twist, 'cmd_vel', self._on_twist, 10, raw=True)
+
+    def _on_command(self, message: JointState) -> None:
+        names = self._arm.ranges.names
+        try:
+            unknown = [name for name in message.name if name not in names]
+            if unknown:
+                raise StateError(f'this arm has no joints {known(unknown)}')
+            commanded = [names.index(name) for name in message.name]
+            velocities, positions = np.zeros(len(names)), np.full(len(names), np.nan)
+            velocities[commanded] = messages.velocities_from_message(message, message.name)
+            if message.position:
+                positions[commanded] = messages.values_of(
+                    message.name, message.position, message.name, 'position')
+        except StateError as error:
+            self._warn(f'joint_command ignored: {error}')
+            return
+        self._arm.command(self._now(), velocities, positions)
+        if self._clock is not None:
+            stamp = message.header.stamp
+            if stamp.sec * messages.NANOSECONDS + stamp.nanosec >= self._stamp_ns():
+                self._lock_step.answer('joint_command')
+                self._go_on_if_due()
+
+    def _on_twist(self, raw: bytes) -> None:
+        self._lock_step.answer('cmd_vel')
+        self._go_on_if_due()
+
+    def _now(self) -> float:
+        """Return the time that the arm lives in [s]."""
+        return time.monotonic() if self._clock is None else self._ticks * self._period
+
+    def _stamp_ns(self) -> int:
+        """Return the time for stamps [ns]."""
+        if self._clock is None:
+            return time.time_ns()
+        return self._ticks * messages.NANOSECONDS // self._settings.rate
+
+    def _follow_real_time(self) -> None:
+        """Simulate up to now, and say where the arm is."""
+        self._arm.skip_to(time.monotonic() - _LONGEST_STANDSTILL)
+        self._go_on()
+
+    def _go_on_if_due(self) -> None:
+        """Simulate a period once the commands for it are here, and say what time it is."""
+        now = time.monotonic()
+        if not self._lock_step.is_due(now):
+            return
+        self._lock_step.begin(now)
+        self._ticks += 1
+        self._go_on()
+        assert self._clock is not None
+        # After joint_states, so that a tick at this time finds them.
+        self._clock.publish(ClockMessage(clock=self._stamp()))
+
+    def _go_on(self) -> None:
+        """Simulate up to now among the obstacles known by now; publish the state."""
+        now, arm = self._now(), self._arm
+        self._obstacles.read(now)
+        self._obstacles.tracker.expire(now)
+        arm.surround(self._obstacles.scene)
+        arm.advance(now)
+        q = arm.q
+        if self._settings.noise > 0.0:
+            q = q + self._random.normal(0.0, self._settings.noise, q.shape)
+        self._states.publish(self._writer.message(self._stamp_ns(), q, arm.dq, arm.torques))
+        if self._film is not None:
+            self._film.note(arm.data)
+        self._say_contacts()
+        self._report_and_show(time.monotonic())
+
+    def _say_contacts(self) -> None:
+        """Publish ~/contacts and say it in the log when somebody begins or ends to touch."""
+        contacts = self._arm.contacts.contacts
+        state = tuple((contact.times, contact.touching) for contact in contacts)
+        if state == self._said_contacts:
+            return
+        self._said_contacts = state
+        self._contacts.publish(physics_report.contacts_message(self._arm, self._stamp()))
+        for contact in contacts:
+            if contact.touching:
+                self._warn(f'contact of {contact.link} with {contact.other}: at '
+                           f'{contact.last:.3f} s')
+
+    def _report_and_show(self, now: float) -> None:
+        """Publish /diagnostics and renew the viewer's picture, each at its pace in real time."""
+        since = now - self._reported_at
+        if since >= _REPORT_PERIOD:
+            steps = self._arm.steps
+            self._real_time_factor = (steps - self._reported_steps) * self._arm.step / since
+            self._reported_at, self._reported_steps = now, steps
+            self._diagnostics.publish(physics_report.state_message(
+                self.get_fully_qualified_name(), self._arm, self._stamp(),
+                self._real_time_factor, self._lock_step.missed))
+        if self._viewer is not None and now >= self._viewed_at + _VIEW_PERIOD:
+            self._viewed_at = now
+            if self._viewer.is_running():
+                self._viewer.sync()
+            else:
+                self._viewer = None
+
+    def _stamp(self) -> Time:
+        return Time(**dict(zip(('sec', 'nanosec'),
+                               divmod(self._stamp_ns(), messages.NANOSECONDS))))
+
+    def _opened_viewer(self) -> Any:
+        """Return MuJoCo's viewer; None where it cannot open, with the reason in the log."""
+        if sys.platform == 'linux' and not (
+                os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY')):
+            self.get_logger().warning('no viewer: there is no display')
+            return None
+        try:
+            from mujoco import viewer
+            return viewer.launch_passive(self._arm.model, self._arm.data)
+        except Exception as error:
+            self.get_logger().warning(f'no viewer: {error}')
+            return None
+
+    def finish(self) -> None:
+        """Write the film, close the viewer."""
+        if self._viewer is not None:
+            self._viewer.close()
+        if self._film is None:
+            return
+        try:
+            count = self._film.write()
+            self.get_logger().info(f'film of {count} pictures written')
+        except PhysicsError as error:
+            self.get_logger().warning(f'no film: {error}')
+
+
+def _prepare_film(options: Options) -> tuple[str, ...]:
+    """Choose an OpenGL for the film; return why there will be none, if so."""
+    if options.record is None:
+        return ()
+    try:
+        check_file(options.record)
+        choose_gl()
+    except PhysicsError as error:
+        return (f'no film: {error}',)
+    return ()
+
+
+def parsed(args: list[str] | None) -> Options:
+    """Return the options of a command line, which may have ROS arguments."""
+    parser = argparse.ArgumentParser(prog='mujoco_hardware_node', description=__doc__)
+    parser.add_argument('--viewer', action='store_true',
+                        help="open MuJoCo's viewer, where there is a display")
+    parser.add_argument('--record', type=Path, metavar='FILE',
+                        help='write a film (.gif, or .mp4 with ffmpeg) when the node ends')
+    line = remove_ros_args(args=sys.argv if args is None else ['', *args])
+    found = parser.parse_args(line[1:])
+    return Options(found.viewer, found.record)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run mujoco_hardware_node."""
+    options = parsed(args)
+    return runtime.run(lambda: MujocoHardwareNode(options), 'mujoco_hardware_node', args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
