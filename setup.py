@@ -10,8 +10,8 @@ SHARE = f'share/{PACKAGE}'
 # The real ROS 2 Jazzy as wheels; with ROS sourced, apt has them already.
 JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'plotly>=5.15', 'rich>=13']
-# mujoco_hardware_node: an arm with mass (Apache-2.0).
-MUJOCO = ['mujoco>=3.2']
+# mujoco_hardware_node: an arm with mass (MuJoCo is Apache-2.0), matplotlib for its films.
+MUJOCO = ['mujoco>=3.2', 'matplotlib>=3.6']
 # For `python -m benchmark.…` alone: what is compared with, and the optimum.
 BENCHMARK = ['casadi', 'mink', 'pin-pink']
 # `make docs`; furo is the theme (MIT), myst-parser reads Markdown (MIT).

@@ -1,8 +1,8 @@
 """Hard motions with live nodes on an arm with mass: `python -m benchmark.physics --help`.
 
 Each scenario of `benchmark/generator.py` gets a planner_node and a mujoco_hardware_node, in a ROS
-domain of its own, in lock-step by simulated time: a busy machine takes longer, and that
-is all.
+domain of its own, in lock-step by simulated time, so a busy machine makes it slower and not
+different: each period waits for its commands, and those that did not come are counted.
 """
 
 from __future__ import annotations
@@ -69,10 +69,10 @@ class Outcome:
         path_error: the largest distance of the tip from the commanded path [m].
         lag: the largest distance of the tip from where it was commanded to be at that time [m].
         delay: the drives' delay that explains it at the tip's speed, in the median [s].
-        torque_share: the largest part of a torque limit that a joint took.
+        torque_share: the most torque that a joint was asked for, as a share of its limit.
         limit_violation: as `benchmark.judge.limit_violation`, of measured postures and commands.
         completed: whether the tip reached the end of the path, to 2 mm.
-        missed: periods in which the planner did not answer in time.
+        missed: periods in which planner or operator did not answer in time.
         seconds: of the motion, in real time [s].
         whole: of the scenario, the start of its processes included, in real time [s].
     """
@@ -92,7 +92,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether it is as promised: no contact, on the path, within the limits."""
+        """Whether it is as promised, completed or not: no contact, on the path, within limits."""
         return (self.contacts == 0 and self.path_error <= TOLERANCE + self.lag
                 and self.torque_share < 1.0 and self.limit_violation == 0.0)
 
@@ -256,7 +256,7 @@ def judged(
         float(errors.max()), max(behind), float(np.median(fast)) if fast else 0.0,
         float(physics[physics_report.TORQUE_SHARE]),
         limit_violation(robot, postures, velocities, dt),
-        bool(np.linalg.norm(tips[-1] - path[-1]) < TOLERANCE), int(physics['commands missed']),
+        bool(np.linalg.norm(tips[-1] - path[-1]) < TOLERANCE), int(physics['answers missed']),
         seconds, whole)
 
 
@@ -274,10 +274,11 @@ def print_table(title: str, outcomes: list[Outcome]) -> None:
             'largest lag': f'{1e3 * max(o.lag for o in outcomes):.2f} mm',
             'further than 2 mm + lag':
                 f'{sum(o.path_error > TOLERANCE + o.lag for o in outcomes)}',
-            'largest share of a torque limit': f'{max(o.torque_share for o in outcomes):.0%}',
+            'largest torque asked for':
+                f'{max(o.torque_share for o in outcomes):.0%} of its limit',
             'limit violations': f'{sum(o.limit_violation > 0.0 for o in outcomes)}',
             'completed': f'{sum(o.completed for o in outcomes)}',
-            'commands missed': f'{sum(o.missed for o in outcomes)}',
+            'answers missed': f'{sum(o.missed for o in outcomes)}',
             'real-time factor, median': f'{np.median([steps / o.seconds for o in outcomes]):.1f}',
             'real time, all': f'{sum(o.whole for o in outcomes):.0f} s'}.items():
         table.add_row(name, value)
@@ -310,7 +311,8 @@ def main() -> None:
         except PlannerError as error:
             raise SystemExit(f'scenario {seed}: {error}') from None
         outcomes.append(outcome)
-        print(f'{seed}: {"good" if outcome.good else "NOT GOOD"}, {outcome}', flush=True)
+        print(f'{seed}: {"good" if outcome.good else "NOT GOOD"}'
+              f'{"" if outcome.completed else ", not completed"}, {outcome}', flush=True)
         if options.json:
             options.json.write_text(json.dumps(
                 {'options': {key: str(value) for key, value in vars(options).items()},

@@ -97,6 +97,9 @@ class MujocoHardwareParameters:
         description='With clock: how long physics waits for an answer, in real time. '
                     'Nobody who answers: time goes on at its real pace. Short, and a planner '
                     'that the system interrupts loses the step.')
+    static_obstacles: tuple[str, ...] = parameter(
+        (), description="Names of fixed obstacles that are bodies, described as planner_node's "
+                        'static_obstacle.NAME parameters: one file serves both nodes.')
     thread_priority: int = parameter(
         40, low=0, high=98,
         description='Real-time priority (SCHED_FIFO), where the system grants it; 0 for none. '

@@ -23,6 +23,8 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import known, ParameterError, StateError
+from redundant_planner.io.obstacle_bounds import checked
+from redundant_planner.io.obstacle_entries import obstacle_of
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import RobotParameters, urdf_text
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
@@ -35,6 +37,7 @@ from redundant_planner.nodes.ros_parameters import (
     CAPSULE,
     declare,
     declare_entries,
+    STATIC_OBSTACLE,
     unknown_parameters,
 )
 from redundant_planner.nodes.throttled_log import ThrottledLog
@@ -85,6 +88,8 @@ class MujocoHardwareNode(EndableNode):
         physics = declare(self, PhysicsParameters)
         self._settings = settings = declare(self, MujocoHardwareParameters)
         capsules = declare_entries(self, 'capsule', robot_parameters.capsules, CAPSULE)
+        static = declare_entries(
+            self, 'static_obstacle', settings.static_obstacles, STATIC_OBSTACLE)
         for sentence in unknown_parameters(self):
             logger.warning(sentence)
         urdf = urdf_text(robot_parameters)
@@ -98,8 +103,10 @@ class MujocoHardwareNode(EndableNode):
         self._random = np.random.default_rng(0)
         self._period = 1.0 / settings.rate
         self._obstacles = ObstacleInput(
-            'obstacles', ObstacleTracker((), sorted({robot.base_frame, ''}),
-                                         transform=transform_lookup(self, robot.base_frame)),
+            'obstacles', ObstacleTracker(
+                checked(obstacle_of(name, entry) for name, entry in static.items()),
+                sorted({robot.base_frame, ''}),
+                transform=transform_lookup(self, robot.base_frame)),
             self._period, self.guard, self._warn)
         self._film = (Film(options.record, self._arm.model)
                       if options.record is not None and not film_refused else None)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:  # others read the messages without MuJoCo
     from redundant_planner.physics.arm import PhysicsArm
 
 CONTACTS, TORQUE_SHARE, TORQUE_JOINT = (
-    'contacts', 'largest share of the torque limit', 'joint of that share')
+    'contacts', 'largest torque asked for, as a share of its limit', 'joint of that share')
 
 
 def state_message(
@@ -23,11 +23,11 @@ def state_message(
         arm: that it simulates.
         stamp: of the message.
         real_time_factor: simulated time per real time lately.
-        missed: periods whose joint_command was waited for in vain.
+        missed: periods in which an answer was waited for in vain.
     """
     contacts = arm.contacts.contacts
     touching = [f'{contact.link} to {contact.other}' for contact in contacts if contact.touching]
-    worst = int(arm.largest_share.argmax())
+    worst = int(arm.largest_demand.argmax())
     status = DiagnosticStatus(name=f'{name}: physics', hardware_id=arm.name)
     if touching:
         status.level = DiagnosticStatus.ERROR
@@ -39,13 +39,13 @@ def state_message(
     status.values = _values({
         CONTACTS: str(arm.contacts.count),
         'deepest contact [m]': f'{max((c.deepest for c in contacts), default=0.0):.6f}',
-        TORQUE_SHARE: f'{arm.largest_share[worst]:.4f}',
+        TORQUE_SHARE: f'{arm.largest_demand[worst]:.4f}',
         TORQUE_JOINT: arm.ranges.names[worst],
         'torques [Nm, N]': ' '.join(f'{torque:.2f}' for torque in arm.torques),
         'real-time factor': f'{real_time_factor:.2f}',
         'obstacles': str(arm.obstacles),
         'steps': str(arm.steps),
-        'commands missed': str(missed),
+        'answers missed': str(missed),
     })
     return _array([status], stamp)
 

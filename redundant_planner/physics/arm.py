@@ -48,7 +48,8 @@ class PhysicsArm:
         name: of the robot.
         ranges: of the n joints.
         contacts: of links with obstacles and with each other.
-        largest_share: (n,) the largest part of its effort limit that each joint has taken.
+        largest_demand: (n,) the most that each joint was asked for, as a share of its effort
+            limit. What is beyond 1 its drive did not have.
         remarks: sentences about what was assumed of the URDF.
         step: of the physics [s].
         steps: taken so far.
@@ -86,7 +87,7 @@ class PhysicsArm:
         mujoco.mj_forward(self._arm.model, self._data)
         self._places = ObstaclePlaces(self._arm)
         self.contacts = ContactLog()
-        self.largest_share = np.zeros(len(self._reference))
+        self.largest_demand = np.zeros(len(self._reference))
         self.step, self.steps = 1.0 / parameters.physics_rate, 0
         # The reference may lead by as much as takes all of the effort.
         with np.errstate(divide='ignore', invalid='ignore'):
@@ -171,10 +172,12 @@ class PhysicsArm:
         if self._parameters.servo != NO_SERVO:
             data.ctrl[:] = (arm.stiffness * self._reference + arm.damping * velocity
                             + self._believed_need())
+            asked = (data.ctrl - arm.stiffness * data.qpos[arm.positions]
+                     - arm.damping * data.qvel[arm.velocities])
+            self.largest_demand = np.maximum(
+                self.largest_demand, np.abs(asked) / arm.effort_max)
         mujoco.mj_step(arm.model, data)
         self.steps += 1
-        self.largest_share = np.maximum(
-            self.largest_share, np.abs(data.actuator_force) / arm.effort_max)
         if data.ncon or any(contact.touching for contact in self.contacts.contacts):
             self.contacts.note(self._touches(), float(data.time))
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Image = npt.NDArray[np.uint8]
 
 _RATE = 20  # pictures a second
-_WIDTH, _HEIGHT = 640, 480
+_WIDTH, _HEIGHT, _DPI = 640, 480, 80
 # A film ends after this many pictures: one minute.
 _MOST = 60 * _RATE
 _TRIAL = 'import mujoco; mujoco.GLContext(16, 16)'
@@ -108,12 +108,10 @@ class Film:
         if not self._moments:
             return 0
         try:
-            if self._path.suffix == '.gif':
-                _write_gif(self._path, self._pictures())
-            else:
-                _write_mp4(self._path, self._pictures())
+            _write(self._path, self._pictures())
         except Exception as error:  # OpenGL's come in all kinds
-            raise PhysicsError(f"'{self._path}': {error}") from None
+            said = getattr(error, 'stderr', None) or error
+            raise PhysicsError(f"'{self._path}': {said}") from None
         return len(self._moments)
 
     def _pictures(self) -> Iterator[Image]:
@@ -135,21 +133,16 @@ class Film:
             renderer.close()
 
 
-def _write_gif(path: Path, pictures: Iterator[Image]) -> None:
-    from PIL import Image as Picture
-    first, *others = [Picture.fromarray(picture).quantize(128) for picture in pictures]
-    first.save(path, save_all=True, append_images=others, duration=1000 // _RATE, loop=0)
-
-
-def _write_mp4(path: Path, pictures: Iterator[Image]) -> None:
-    command = ['ffmpeg', '-y', '-loglevel', 'error', '-f', 'rawvideo', '-pix_fmt', 'rgb24', '-s',
-               f'{_WIDTH}x{_HEIGHT}', '-r', str(_RATE), '-i', '-', '-pix_fmt', 'yuv420p',
-               str(path)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as ffmpeg:
-        assert ffmpeg.stdin is not None and ffmpeg.stderr is not None
+def _write(path: Path, pictures: Iterator[Image]) -> None:
+    """Write a film; matplotlib's writers call Pillow for .gif and ffmpeg for .mp4."""
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+    from matplotlib.figure import Figure
+    figure = Figure(figsize=(_WIDTH / _DPI, _HEIGHT / _DPI), dpi=_DPI)
+    writer = (PillowWriter if path.suffix == '.gif' else FFMpegWriter)(fps=_RATE)
+    shown = None
+    with writer.saving(figure, str(path), _DPI):
         for picture in pictures:
-            ffmpeg.stdin.write(picture.tobytes())
-        ffmpeg.stdin.close()
-        said = ffmpeg.stderr.read().decode(errors='replace').strip()
-    if ffmpeg.returncode:
-        raise PhysicsError(f'ffmpeg: {said}')
+            if shown is None:
+                shown = figure.figimage(picture)
+            shown.set_data(picture)
+            writer.grab_frame()

@@ -37,23 +37,28 @@ class Inertia(NamedTuple):
 
 def ball() -> Inertia:
     """Return the inertia of a link of which nothing is known."""
-    return Inertia(BALL_MASS, np.zeros(3), 0.4 * BALL_MASS * BALL_RADIUS**2 * np.eye(3))
+    return Inertia(BALL_MASS, np.zeros(3), _ball_matrix(BALL_MASS))
 
 
-def inertias(urdf: Urdf) -> dict[str, Inertia]:
-    """Return the inertia of each link that has one.
+def inertias(urdf: Urdf) -> tuple[dict[str, Inertia], list[str]]:
+    """Return the inertia of each link that has a mass, and the links of which it is a ball's.
 
-    A link without mass, or whose inertia matrix is not positive definite, has none.
+    Those are links whose inertia matrix is not positive definite, as of a tool of which only the
+    mass is known: they get the matrix of a ball of that mass.
 
     Raises:
         RobotError: a number of an <inertial> is missing or malformed.
     """
-    found = {}
+    found, balls = {}, []
     for name, link in urdf.links.items():
         inertia = _inertia(name, link)
-        if inertia is not None:
-            found[name] = inertia
-    return found
+        if inertia is None:
+            continue
+        if np.linalg.eigvalsh(inertia.matrix)[0] < _LEAST_INERTIA:
+            inertia = inertia._replace(matrix=_ball_matrix(inertia.mass))
+            balls.append(name)
+        found[name] = inertia
+    return found, balls
 
 
 def bodies_without_inertia(urdf: Urdf, known_ones: Collection[str]) -> list[str]:
@@ -75,10 +80,23 @@ def bodies_without_inertia(urdf: Urdf, known_ones: Collection[str]) -> list[str]
             if joint.kind in MOVABLE and joint.child not in heavy]
 
 
-def remark_on(assumed: Collection[str]) -> str:
-    """Return the sentence about links whose inertia is assumed."""
-    return (f'the URDF gives no inertia of {known(assumed)}: it is assumed to be that of their '
+def remarks_on(assumed: Collection[str], balls: Collection[str]) -> list[str]:
+    """Return the sentences about links whose inertia is assumed.
+
+    Args:
+        assumed: links without a mass that need one.
+        balls: links whose inertia matrix is none.
+    """
+    remarks = []
+    if assumed:
+        remarks.append(
+            f'the URDF gives no inertia of {known(assumed)}: it is assumed to be that of their '
             f'capsules at {DENSITY:g} kg/m³, or of a ball of {BALL_MASS:g} kg where there is none')
+    if balls:
+        remarks.append(
+            f'the inertia matrix of {known(balls)} in the URDF is not positive definite: it is '
+            f'assumed to be that of a ball of {2.0 * BALL_RADIUS:g} m with the mass given there')
+    return remarks
 
 
 def _inertia(name: str, link: ElementTree.Element) -> Inertia | None:
@@ -94,9 +112,13 @@ def _inertia(name: str, link: ElementTree.Element) -> Inertia | None:
         numbers(matrix, key, what, default=(0.0,))[0]
         for key in ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'))
     about_center = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if mass < _LEAST_MASS or np.linalg.eigvalsh(about_center)[0] < _LEAST_INERTIA:
+    if mass < _LEAST_MASS:
         return None
     return Inertia(mass, np.array(center), turn @ about_center @ turn.T)
+
+
+def _ball_matrix(mass: float) -> Array:
+    return 0.4 * mass * BALL_RADIUS**2 * np.eye(3)
 
 
 def rotation_of(rpy: tuple[float, ...]) -> Array:

@@ -27,7 +27,7 @@ from redundant_planner.physics.inertia import (
     DENSITY,
     Inertia,
     inertias,
-    remark_on,
+    remarks_on,
     rotation_of,
 )
 
@@ -89,9 +89,9 @@ def arm_model(robot: Robot, parameters: PhysicsParameters) -> ArmModel:
         PhysicsError: MuJoCo refuses the model.
     """
     urdf, ranges = read_urdf(robot.urdf), joint_ranges(robot.urdf)
-    given = inertias(urdf)
+    given, balls = inertias(urdf)
     assumed = bodies_without_inertia(urdf, given)
-    remarks = [remark_on(assumed)] if assumed else []
+    remarks = remarks_on(assumed, balls)
     limits = efforts(robot.urdf)
     effort_max = np.array([limits[name] or np.inf for name in ranges.names])
     unlimited = [name for name in ranges.names if not limits[name]]

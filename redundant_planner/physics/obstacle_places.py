@@ -28,6 +28,8 @@ _COLOR = (0.86, 0.42, 0.25, 1.0)
 # A half-space is a box of this half size [m].
 _HALF_SPACE = 50.0
 _THINNEST = 1e-6
+# Once a link has moved by this, the nearest obstacles are chosen anew [m].
+_FAR = 0.02
 
 
 class ObstaclePlaces:
@@ -46,15 +48,16 @@ class ObstaclePlaces:
         self._boxes = arm.model.body_bvhadr[self._bodies]
         self._links = np.array(sorted(arm.shapes), dtype=np.intp)
         self._scene: Scene | None = None
+        # Where the links were when the nearest obstacles were chosen.
+        self._chosen_at = np.full((len(self._links), 3), np.inf)
 
     def show(self, scene: Scene, data: mujoco.MjData) -> None:
         """Make a scene's obstacles bodies, the nearest ones where they are too many."""
-        chosen = self._chosen(scene, data)
-        if scene is self._scene and chosen is None:
+        many = len(scene.names) > len(self._geoms)
+        if scene is self._scene and not (many and self._has_moved(data)):
             return
         self._scene = scene
-        if chosen is None:
-            chosen = np.arange(len(scene.names))
+        chosen = self._nearest(scene, data) if many else np.arange(len(scene.names))
         used = len(chosen)
         origin = data.xpos[self._base]
         axes = data.xmat[self._base].reshape(3, 3)
@@ -75,16 +78,29 @@ class ObstaclePlaces:
             self._clear(slice(used, len(self.names)), data)
         self.names = tuple(scene.names[i] for i in chosen.tolist())
 
-    def _chosen(self, scene: Scene, data: mujoco.MjData) -> Indices | None:
-        """Return which obstacles to show; None for all."""
-        if len(scene.names) <= len(self._geoms):
-            return None
-        links = data.geom_xpos[self._links] if len(self._links) else data.xpos[1:]
+    def _has_moved(self, data: mujoco.MjData) -> bool:
+        """Return whether a link has moved so far that others may be the nearest obstacles."""
+        return bool((np.abs(self._ends(data)[0] - self._chosen_at) > _FAR).any())
+
+    def _ends(self, data: mujoco.MjData) -> tuple[Array, Array]:
+        """Return where the links' capsules begin, and their axes with their lengths (k, 3)."""
+        half = self._model.geom_size[self._links, 1:2] * (
+            self._model.geom_type[self._links, None] == mujoco.mjtGeom.mjGEOM_CAPSULE)
+        axes = data.geom_xmat[self._links].reshape(-1, 3, 3)[:, :, 2] * half
+        return data.geom_xpos[self._links] - axes, 2.0 * axes
+
+    def _nearest(self, scene: Scene, data: mujoco.MjData) -> Indices:
+        """Return those, as many as there are places, whose balls are nearest to a link."""
+        starts, axes = self._ends(data)
+        self._chosen_at = starts
         centers = (data.xpos[self._base]
                    + scene.centers @ data.xmat[self._base].reshape(3, 3).T)
         apart = np.full(len(centers), np.inf)
-        for link in links:
-            apart = np.minimum(apart, np.linalg.norm(centers - link, axis=1))
+        for start, axis in zip(starts, axes):
+            square = max(float(axis @ axis), _THINNEST**2)
+            along = np.clip((centers - start) @ axis / square, 0.0, 1.0)
+            apart = np.minimum(
+                apart, np.linalg.norm(centers - start - along[:, None] * axis, axis=1))
         apart -= np.linalg.norm(scene.half_extents, axis=1)
         apart[scene.shapes == SHAPES.index(HALF_SPACE)] = -np.inf
         return np.sort(np.argpartition(apart, len(self._geoms))[:len(self._geoms)])

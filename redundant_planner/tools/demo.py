@@ -114,8 +114,8 @@ def print_summary(
     }
     if run.physics:
         rows['contacts'] = run.physics[CONTACTS]
-        rows['largest share of a torque limit'] = (
-            f'{float(run.physics[TORQUE_SHARE]):.0%} ({run.physics[TORQUE_JOINT]})')
+        rows['largest torque asked for'] = (
+            f'{float(run.physics[TORQUE_SHARE]):.0%} of its limit ({run.physics[TORQUE_JOINT]})')
     for name, value in rows.items():
         motion.add_row(name, value)
     console.print(motion)

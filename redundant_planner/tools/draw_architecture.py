@@ -33,6 +33,7 @@ _HOLDS = {
     'paper': "the paper's experiment",
     'analysis': 'measures, figures, report',
     'perception': 'clouds to voxels, a camera',
+    'physics': 'an arm with mass, MuJoCo',
     'simulation.py': 'planner and ideal arm',
     'io': 'messages, bags, robot files',
     'core': 'Planner.step, the composition',
@@ -46,7 +47,7 @@ _HOLDS = {
 _PLACES = {
     'tools': (1.5, 6.9), 'nodes': (0.15, 6.0), 'paper': (2.85, 5.6),
     'analysis': (1.5, 5.1), 'perception': (0.15, 5.1),
-    'simulation.py': (2.85, 4.2), 'io': (0.85, 4.2),
+    'physics': (2.85, 4.85), 'simulation.py': (2.0, 4.2), 'io': (0.85, 4.2),
     'core': (1.5, 3.0), 'core/horizon': (0.85, 2.1), 'core/safety': (2.85, 2.1),
     'core/obstacles': (0.15, 1.2), 'core/redundancy': (1.7, 1.2), 'core/robot': (0.85, 0.3),
 }

@@ -97,7 +97,7 @@ def test_a_velocity_profile_is_followed_closely():
     sums = np.cumsum(np.sin(np.pi * (times - TICK) / 2.0) ** 2) * TICK
     assert np.abs(q - start - np.outer(sums, peak)).max() < 1e-3
     assert np.abs(dq - np.outer(np.sin(np.pi * times / 2.0) ** 2, peak)).max() < 0.03
-    assert 0.1 < arm.largest_share.max() < 0.6
+    assert 0.1 < arm.largest_demand.max() < 0.6
 
 
 def test_a_position_servo_goes_where_it_is_told():
@@ -117,7 +117,7 @@ def test_torque_limits_are_kept_and_told():
     arm = pendulum(np.pi / 2.0, effort=10)
     arm.advance(0.0)
     torques = [(arm.advance(0.01 * i), arm.torques[0])[1] for i in range(1, 200)]
-    assert np.abs(torques).max() <= 10.0 and arm.largest_share[0] == pytest.approx(1.0)
+    assert np.abs(torques).max() <= 10.0 and arm.largest_demand[0] > 1.2
     assert arm.q[0] < 1.2
     strong = pendulum(np.pi / 2.0, effort=40)
     strong.advance(0.0)
@@ -145,7 +145,7 @@ def test_without_commands_it_brakes_and_holds():
     arm.advance(0.8)
     # 50 ms less the last period at 0.5 rad/s.
     assert arm.q[0] - at_timeout == pytest.approx(0.5 * (0.05 - TICK), abs=3e-3)
-    assert abs(arm.dq[0]) < 1e-4 and arm.largest_share.max() <= 1.0
+    assert abs(arm.dq[0]) < 1e-4
 
 
 def test_commands_wait_for_the_dead_time_and_keep_the_urdfs_speed():

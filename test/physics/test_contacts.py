@@ -131,6 +131,40 @@ def test_of_too_many_obstacles_the_nearest_are_bodies(arm):
     assert {o.name for o in near} <= {c.other for c in arm.contacts.contacts}
 
 
+def test_the_nearest_are_nearest_to_the_links_not_to_their_middles(arm):
+    """Balls at the shoulder's end of a long link, and more balls not as far from its middle."""
+    robot = make_panda()
+    where = robot.kinematics(PANDA_READY)
+    lengths = np.linalg.norm(where.segment_end - where.segment_start, axis=1)
+    longest = int(lengths.argmax())
+    end, middle = where.segment_end[longest], 0.5 * (
+        where.segment_start[longest] + where.segment_end[longest])
+    aside = np.linalg.svd((end - middle)[None])[2][1]
+    reach = 0.9 * np.linalg.norm(end - middle)
+    rivals = [Obstacle(f'rival{i}', middle + reach * aside, (0.01, 0.01, 0.01))
+              for i in range(PLACES)]
+    arm.surround(Scene.of([*rivals, Obstacle('end', end, (0.01, 0.01, 0.01))]))
+    arm.advance(arm.step)
+    assert 'end' in {c.other for c in arm.contacts.contacts}
+
+
+def test_others_are_chosen_once_the_arm_has_moved(arm):
+    robot, hand = make_panda(), make_panda().kinematics(PANDA_READY).tip_position
+    there = np.array(PANDA_READY)
+    there[0] = 1.2
+    goal = robot.kinematics(there).tip_position
+    crowd = [Obstacle(f'here{i}', hand + (0.3, -0.1, 0.0), (0.02, 0.02, 0.02))
+             for i in range(PLACES)]
+    scene = Scene.of([*crowd, Obstacle('there', goal, (0.03, 0.03, 0.03))])
+    turn = np.zeros(8)
+    turn[0] = 0.8
+    for i in range(400):
+        arm.surround(scene)
+        arm.command(i * 0.004, turn * (arm.q[0] < 1.2))
+        arm.advance((i + 1) * 0.004)
+    assert {c.other for c in arm.contacts.contacts} == {'there'}
+
+
 def test_links_that_can_meet_do():
     """The forearm folded back onto the upper arm: the planner's own pairs are watched."""
     robot = make_panda()

@@ -72,6 +72,18 @@ def test_links_without_inertia_are_named_and_get_that_of_their_capsules():
     assert clad.nominal.body('link two').mass[0] == pytest.approx(DENSITY * volume)
 
 
+def test_a_tool_of_which_only_the_mass_is_known_keeps_it():
+    tool = """<link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="1.5"/>
+        <inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="flange" type="fixed"><parent link="two"/><child link="tool"/></joint></robot>"""
+    urdf = URDF.format(effort='9', mimic='').replace('</robot>', tool)
+    model = arm_model(Robot(urdf, 'tool', axes=('vx',), capsules=[]), PhysicsParameters())
+    assert model.nominal.body('link tool').mass[0] == 1.5
+    # Link two moves with the tool: it needs no mass of its own.
+    assert len(model.remarks) == 1 and "matrix of 'tool'" in model.remarks[0]
+    assert model.nominal.body_mass.sum() == 3.5
+
+
 def test_a_paper_arm_of_bare_lines_can_be_simulated():
     model = arm_model(make_paper_arm(), PhysicsParameters())
     assert "'carriage'" in model.remarks[0]
