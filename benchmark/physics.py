@@ -1,8 +1,8 @@
 """Hard motions with live nodes on an arm with mass: `python -m benchmark.physics --help`.
 
 Each scenario of `benchmark/generator.py` gets a planner_node and a mujoco_hardware_node, in a ROS
-domain of its own, in lock-step by simulated time, so a busy machine makes it slower and not
-different: each period waits for its commands, and those that did not come are counted.
+domain of its own, in lock-step by simulated time. Each period waits for its commands, so a busy
+machine makes it slower; those that did not come are counted.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ SOURCE = Path(__file__).resolve().parent.parent
 IGNORED = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log',
                                  'demo_output')
 EXECUTABLES = ('planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
-               'depth_camera', 'demo', 'reproduce_paper')
+               'depth_camera', 'mujoco_hardware_node', 'demo', 'reproduce_paper')
 
 
 def colcon(workspace: Path, *arguments: str) -> str:

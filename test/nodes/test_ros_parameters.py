@@ -18,6 +18,7 @@ from redundant_planner.core.errors import ParameterError
 from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_of
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
+from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
 from redundant_planner.nodes.disputed_parameters import disputed
 from redundant_planner.nodes.ros_parameters import (
     changed,
@@ -169,7 +170,8 @@ def test_names_of_obstacles_may_have_dots():
 
 
 SETTINGS = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
-            PlayerParameters, CloudParameters, CameraParameters)
+            PlayerParameters, CloudParameters, CameraParameters, PhysicsParameters,
+            MujocoHardwareParameters)
 
 
 @pytest.mark.parametrize('settings', SETTINGS)

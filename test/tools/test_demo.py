@@ -60,6 +60,25 @@ def test_it_ends_by_itself_and_leaves_a_report_and_nothing_else(tmp_path):
     assert not children_of(marker)
 
 
+def test_with_physics_the_arm_touches_nothing(tmp_path):
+    marker, demo = start(tmp_path, '--physics')
+    out, err = demo.communicate(timeout=2.0 * PATIENCE)
+    assert demo.returncode == 0, out + err
+    row = {line.split('│')[1].strip(): line.split('│')[2].strip()
+           for line in out.splitlines() if line.count('│') == 3}
+    assert row['contacts'] == '0'
+    share, joint = row['largest torque asked for'].split('% of its limit ')
+    assert 0 < int(share) < 90 and joint.startswith('(panda_joint')
+    assert (tmp_path / 'out' / 'panda_obstacles.png').stat().st_size > 20_000
+    assert not children_of(marker)
+
+
+def test_a_viewer_takes_physics(tmp_path):
+    _, demo = start(tmp_path, '--viewer')
+    _, err = demo.communicate(timeout=PATIENCE)
+    assert demo.returncode == 2 and 'give --physics as well' in err
+
+
 def test_interrupted_it_leaves_no_process_behind(tmp_path):
     """By Ctrl-C in the motion, and by others in the start."""
     def interrupt(number):
