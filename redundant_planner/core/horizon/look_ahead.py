@@ -32,6 +32,8 @@ _PLANNING_PERIOD = 0.003
 MOST_OBSTACLES = 50
 # A tick with other work to do leaves the path as it is, unless it is older than this [s].
 _OLDEST_PATH = 0.04
+# An arm this slow stands [rad/s, m/s].
+_STANDSTILL = 1e-3
 # A command smaller than this is none, as to how it grows [squared m/s, rad/s].
 _NO_SPEED = 1e-24
 # How long dynamic_factor takes to switch to the joint path ahead, and back [s]; and the share of
@@ -72,6 +74,7 @@ class LookAhead:
         self._wanted: Array | None = None
         self._velocity: Array | None = None
         self._has_planned = False
+        self._prepared = False  # whether the arm has just started on a path planned before
         self._age = 0.0  # of the path, or of the attempt to find one [s]
         self._command: Array = np.zeros(6)
         self._growth = 0.0
@@ -99,14 +102,38 @@ class LookAhead:
             ahead: see `Planner.step`.
             busy: whether the tick has other work to do that takes long.
         """
-        if self.guided == 0.0:
-            return None
         if self._robot.n <= self._robot.m:
-            return np.zeros(self._robot.n)
+            return None if self.guided == 0.0 else np.zeros(self._robot.n)
         self._age += start.dt
+        if isinstance(ahead, Preview):
+            ahead = ahead.ahead(0.0)
+        if self.guided == 0.0:
+            if self._has_planned or isinstance(ahead, PreviewAhead):  # else there is nothing to do
+                self._prepare(start, obstacles, ahead, busy)
+            return None
+        self._improve(start, obstacles, ahead, busy)
+        return self._smoothed(start.dt)
+
+    def _prepare(
+        self, start: Start, obstacles: InflatedObstacles, ahead: TwistAhead | None, busy: bool,
+    ) -> None:
+        """Plan the path of an announced motion before it begins, to start with it from rest."""
+        if (np.abs(start.previous) > _STANDSTILL).any():
+            if self._has_planned:
+                self.reset()
+        elif isinstance(ahead, PreviewAhead) and not start.command.any() and (
+                0.0 < ahead.rest and ahead.begin < self._horizons[0].times[-1]):
+            self._improve(start, obstacles, ahead, busy)
+        elif self._age >= _OLDEST_PATH:
+            self.reset()
+
+    def _improve(
+        self, start: Start, obstacles: InflatedObstacles, ahead: TwistAhead | None, busy: bool,
+    ) -> None:
+        """Take a step to improve the path where one is due."""
         if self._has_planned and (
                 self._age < _PLANNING_PERIOD or (busy and self._age < _OLDEST_PATH)):
-            return self._smoothed(start.dt)
+            return
         elapsed, self._age, self._has_planned = self._age, 0.0, True
         growth = self._growth_of(start.command, elapsed)
         horizon = self._horizons[ahead is None]
@@ -114,8 +141,6 @@ class LookAhead:
             self._horizon = horizon
             horizon.reset()
 
-        if isinstance(ahead, Preview):
-            ahead = ahead.ahead(0.0)
         # A node that slid over the end of the motion would make the path another one each time.
         horizon.reach(ahead.rest if isinstance(ahead, PreviewAhead) else math.inf, start.dt)
         times = horizon.times
@@ -126,15 +151,17 @@ class LookAhead:
         reference = reference_of(start, self._constants, self._gains)
         poses = poses_ahead(reference, twists, times, self._robot.in_tool)
         self._wanted = horizon.advance(start.arm.q, poses, obstacles, elapsed)
-        return self._smoothed(start.dt)
 
     def _smoothed(self, dt: float) -> Array | None:
         """Return the path's velocity (n,), smoothed: another path may take another direction."""
         if self._wanted is None:
             self._velocity = None
             return None
-        # A new path's first steps are far from its solution: it begins with nothing.
-        before = np.zeros_like(self._wanted) if self._velocity is None else self._velocity
+        before = self._velocity
+        if before is None:
+            # A new path's first steps are far from its solution: it begins with nothing.
+            before = self._wanted if self._prepared else np.zeros_like(self._wanted)
+            self._prepared = False
         share = 1.0 - math.exp(-dt / _SMOOTHING_TIME)
         self._velocity = before + share * (self._wanted - before)
         return self._velocity
@@ -153,6 +180,10 @@ class LookAhead:
         if self._always:
             return
         useful = blocked and (self._horizon is None or self._horizon.free)
+        if useful and self.guided == 0.0 and self._has_planned:
+            # The arm starts from rest on a path that was planned before: nothing has to fade in.
+            # The path's next step, which the motion belongs to, is due at once.
+            self.guided, self._prepared, self._has_planned = 1.0, True, False
         self._stay = _STAY if useful else 0.0 if at_once else self._stay - dt
         if self._stay > 0.0:
             self.guided = min(self.guided + dt / _SWITCH_TIME, 1.0)

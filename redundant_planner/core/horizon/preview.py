@@ -83,6 +83,12 @@ class Preview:
         return PreviewAhead(self, now)
 
     @cached_property
+    def begin(self) -> float:
+        """When the first motion begins; infinite if there is none [s]."""
+        moving = np.flatnonzero(self.twists.any(axis=1))
+        return float(self.times[max(int(moving[0]) - 1, 0)]) if len(moving) else np.inf
+
+    @cached_property
     def end(self) -> float:
         """When the last motion is over [s]."""
         moving = np.flatnonzero(self.twists.any(axis=1))
@@ -118,6 +124,11 @@ class PreviewAhead:
     def __call__(self, times: Array) -> Array:
         """Return the mean twists (N, 6) from each of times (N + 1,) from now to the next."""
         return self.preview.between(self.now + times)
+
+    @property
+    def begin(self) -> float:
+        """Time until the first motion begins [s]; negative after that."""
+        return self.preview.begin - self.now
 
     @property
     def rest(self) -> float:

@@ -99,3 +99,42 @@ def test_the_papers_scenario_has_one_smooth_curve_per_joint(method):
         signs = np.sign(changes[np.abs(changes) > 1e-6])
         assert (np.diff(signs) != 0.0).sum() <= 4
     assert np.abs(np.diff(velocities, axis=0)).max() / DT < 1.5
+
+
+def test_a_motion_announced_before_it_begins_starts_on_its_path():
+    """One smooth curve per joint from the start on, and nothing moves before it."""
+    scenario, robot = paper_scenario(), make_paper_arm()
+    planner, q = Planner(robot, PlannerParameters()), scenario.start_posture(robot)
+    preview, scene, begin, sent = scenario.preview(), Scene.of(scenario.obstacles), 0.4, []
+    for i in range(round((begin + scenario.duration) / DT)):
+        now = i * DT - begin
+        twist = scenario.twist_at(now) if now >= 0.0 else np.zeros(6)
+        result = planner.step(q, twist, scene, DT, preview.ahead(now))
+        q = q + DT * result.dq
+        sent.append(result.dq)
+    first = round(begin / DT)
+    assert not np.array(sent[:first]).any() and planner.guided == 1.0
+    # After the ticks that the acceleration limits take.
+    velocities = np.array(sent)[first + 5:first + round(2.7 / DT)]
+    for joint in velocities.T[:6]:
+        changes = np.diff(joint)
+        signs = np.sign(changes[np.abs(changes) > 1e-6])
+        assert (np.diff(signs) != 0.0).sum() <= 1
+    assert np.abs(np.diff(velocities, axis=0)).max() / DT < 0.2
+
+
+def test_a_path_made_ready_in_vain_is_forgotten():
+    """The operator announces a motion and then makes another one, away from the obstacle."""
+    scenario, robot = paper_scenario(), make_paper_arm()
+    fresh, ready = (Planner(robot, PlannerParameters()) for _ in range(2))
+    q, scene, preview = scenario.start_posture(robot), Scene.of(), scenario.preview()
+    for i in range(50):
+        ready.step(q, np.zeros(6), scene, DT, preview.ahead(i * DT - 0.5))
+    postures = {}
+    for name, planner in (('fresh', fresh), ('ready', ready)):
+        at = q
+        for i in range(100):
+            at = at + DT * planner.step(at, scenario.twist_at(1.0), scene, DT).dq
+        postures[name] = at
+    np.testing.assert_allclose(postures['ready'], postures['fresh'], atol=1e-12)
+    assert not ready._look_ahead._has_planned and ready.guided == 0.0
