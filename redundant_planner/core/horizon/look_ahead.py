@@ -122,7 +122,7 @@ class LookAhead:
             if self._has_planned:
                 self.reset()
         elif isinstance(ahead, PreviewAhead) and not start.command.any() and (
-                0.0 < ahead.rest and ahead.begin < self._horizons[0].times[-1]):
+                ahead.rest > 0.0 and ahead.begin < self._horizons[0].times[-1]):
             self._improve(start, obstacles, ahead, busy)
         elif self._age >= _OLDEST_PATH:
             self.reset()

@@ -133,7 +133,7 @@ def test_a_path_made_ready_in_vain_is_forgotten():
     postures = {}
     for name, planner in (('fresh', fresh), ('ready', ready)):
         at = q
-        for i in range(100):
+        for _ in range(100):
             at = at + DT * planner.step(at, scenario.twist_at(1.0), scene, DT).dq
         postures[name] = at
     np.testing.assert_allclose(postures['ready'], postures['fresh'], atol=1e-12)
