@@ -27,7 +27,11 @@ from redundant_planner.io.obstacle_bounds import checked
 from redundant_planner.io.obstacle_entries import obstacle_of
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import RobotParameters, urdf_text
-from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
+from redundant_planner.io.physics_parameters import (
+    MujocoHardwareParameters,
+    PhysicsParameters,
+    POSITION_SERVO,
+)
 from redundant_planner.nodes import messages, physics_report, runtime
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.joint_messages import JointWriter
@@ -100,6 +104,7 @@ class MujocoHardwareNode(EndableNode):
             zip(settings.initial_joints, settings.initial_positions)))
         for sentence in (*self._arm.remarks, *film_refused):
             logger.warning(sentence)
+        self._takes_positions = physics.servo == POSITION_SERVO
         self._random = np.random.default_rng(0)
         self._period = 1.0 / settings.rate
         self._obstacles = ObstacleInput(
@@ -154,7 +159,7 @@ class MujocoHardwareNode(EndableNode):
             commanded = [names.index(name) for name in message.name]
             velocities, positions = np.zeros(len(names)), np.full(len(names), np.nan)
             velocities[commanded] = messages.velocities_from_message(message, message.name)
-            if message.position:
+            if message.position and self._takes_positions:
                 positions[commanded] = messages.values_of(
                     message.name, message.position, message.name, 'position')
         except StateError as error:
