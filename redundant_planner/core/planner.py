@@ -43,6 +43,8 @@ Array = npt.NDArray[np.float64]
 _ABSURD = 1e100
 # A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
 _STANDSTILL = 1e-12
+# The mean that keeps the jerk limits takes as many ticks as there are in up to a second [s].
+_SHORTEST_TICK = 1e-4
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
 _MANY_DISTANCES = 3000
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
@@ -203,7 +205,7 @@ class Planner:
                 it the planner takes the present command as held.
 
         Raises:
-            StateError: `q` or `twist` does not fit the robot, or `dt` is not positive.
+            StateError: `q` or `twist` does not fit the robot, or `dt` is shorter than 1e-4 s.
         """
         # Sense: where the arm is, and the obstacles near it.
         command, commanded = self._checked_command(twist, dt)
@@ -306,8 +308,8 @@ class Planner:
         if math.isnan(largest):
             raise StateError(f'twist is {np.asarray(twist).tolist()}; it takes six finite '
                              'numbers [m/s, rad/s]')
-        if not 0.0 < dt < math.inf:
-            raise StateError(f'dt is {dt}; it must be positive [s]')
+        if not _SHORTEST_TICK <= dt < math.inf:
+            raise StateError(f'dt is {dt}; it must be {_SHORTEST_TICK:g} s or longer')
         return command, largest > 0.0
 
     def _turn(self, start: Start, around: Surroundings) -> Turn:

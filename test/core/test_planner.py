@@ -309,7 +309,8 @@ def test_what_slows_the_arm_is_named(paper_arm):
 
 @pytest.mark.parametrize(('twist', 'dt', 'message'), [
     (np.zeros(5), DT, 'six finite numbers'), (np.full(6, np.nan), DT, 'six finite numbers'),
-    (np.zeros(6), 0.0, 'dt is 0.0'), (np.zeros(6), np.nan, 'dt is nan')])
+    (np.zeros(6), 0.0, 'dt is 0.0'), (np.zeros(6), np.nan, 'dt is nan'),
+    (np.zeros(6), 5e-324, 'it must be 0.0001 s or longer')])
 def test_bad_input_is_refused_and_changes_nothing(panda, twist, dt, message):
     planner, twin = (Planner(panda, PlannerParameters()) for _ in range(2))
     with pytest.raises(StateError, match=message):

@@ -127,11 +127,11 @@ def _sense(
         dt: time to the next tick [s].
     """
     n = len(measured)
+    if told > 0.0:
+        _obey(state, late, lag, dead_time, told)
     for i in range(n):
         if not math.isfinite(measured[i]):
             return measured.copy()
-    if told > 0.0:
-        _obey(state, late, lag, dead_time, told)
     share, slower = 1.0 - math.exp(-_RATE * dt), 1.0 - math.exp(-dt / _NOISE_TIME)
     along, squared = 0.0, 0.0
     posture = np.empty(n)

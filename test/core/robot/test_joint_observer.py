@@ -114,3 +114,16 @@ def test_another_period_and_a_reset_are_taken_up():
     observer.reset()
     np.testing.assert_array_equal(observer.sense(np.ones(N), 0.001), np.ones(N))
     np.testing.assert_array_equal(observer.strayed, 0.0)
+
+
+@pytest.mark.parametrize(('lag', 'dead_time'), [(0.0, 0.0), (0.03, 0.01)])
+def test_a_measurement_that_is_none_loses_no_command(lag, dead_time):
+    """It is refused, and the next one finds the arm where the commands have taken it."""
+    observer, drives = JointObserver(N, lag, dead_time), Drives(lag, dead_time)
+    speed = np.full(N, 0.5)
+    for _ in range(50):
+        observer.sense(drives.q, DT)
+        observer.commanded(speed, DT)
+        drives.move(speed)
+    assert np.isnan(observer.sense(np.full(N, np.nan), DT)).all()
+    np.testing.assert_allclose(observer.sense(drives.q, DT), 50 * DT * speed, atol=1e-4)
