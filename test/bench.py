@@ -22,9 +22,6 @@ CREEPING = 2e-3
 # docs/interface.md promises rest within these times, which are rounded [s].
 PROMISED = {'cmd_vel stops': 0.4, 'joint_states stop': 0.15, 'a second cmd_vel': 0.5,
             'a request': 0.03, 'the end of the process': 0.05}
-# The middleware repeats the announcement of a publisher that got lost, on a busy machine up to
-# this much later: 2.1 s were seen [s].
-ANNOUNCED_AGAIN = 3.0
 
 
 def most_commands(fault):
