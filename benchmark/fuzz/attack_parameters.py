@@ -23,17 +23,13 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.obstacle_bounds import checked
 from redundant_planner.io.obstacle_entries import obstacle_of
-from redundant_planner.io.parameter_files import RobotParameters
-from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
+from redundant_planner.io.parameter_files import SETTINGS
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.ros_parameters import (
     CAPSULE,
     changed,
     changed_entries,
-    FakeHardwareParameters,
-    PlannerNodeParameters,
-    PlayerParameters,
     STATIC_OBSTACLE,
 )
 
@@ -41,8 +37,6 @@ Random = np.random.Generator
 
 DT = 0.004
 START = np.array([0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0])
-SETTINGS = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
-            PlayerParameters, PhysicsParameters, MujocoHardwareParameters)
 NUMBERS = (0, 1, -1, 2, 12, 200, 2**31, 2**63 - 1, -2**63, 2**63, 10**400, 0.0, -0.0, 0.5, 1e-6,
            1e-12, 1e-300, 5e-324, 1e6, 1e9, 1e154, 1e308, math.inf, -math.inf, math.nan)
 TEXTS = ('', 'hello', 'variational', 'yield', '1.0', 'nan', 'a' * 100_000, 'ü\n\x1b', '\ud800',

@@ -80,7 +80,8 @@ class FakeHardwareParameters:
     """
 
     rate: int = parameter(
-        250, low=1, high=1000, unit='Hz', description='Rate of joint_states.')
+        250, low=1, high=1000, unit='Hz',
+        description="Rate of joint_states, and of /clock: there it must be planner_node's.")
     command_timeout: float = parameter(
         0.05, low=0.001, high=10.0, unit='s',
         description='The arm holds still when no joint_command came for this long.')
@@ -110,6 +111,36 @@ class FakeHardwareParameters:
 
 
 @dataclass(frozen=True)
+class ClockParameters:
+    """How a simulated arm sets the pace of all nodes.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    clock: bool = parameter(
+        False, description='Whether the arm publishes /clock, for other nodes with use_sim_time. '
+                           'Each of its periods then waits for the joint_command of the last '
+                           'one, and takes no longer than that.')
+    wait_for_cmd_vel: bool = parameter(
+        False, description='With clock: whether each period waits for a cmd_vel (Twist), too. Its '
+                           'sender publishes one per period. No twist comes late then.')
+    real_time_factor: float = parameter(
+        0.0, low=0.0, high=1000.0,
+        description='With clock: how much faster than real time it may be; 0 for as fast as the '
+                    'nodes can.')
+    answer_timeout: float = parameter(
+        0.5, low=0.01, high=60.0, unit='s',
+        description='With clock: how long the arm waits for an answer, in real time. '
+                    'Nobody who answers: time goes on at its real pace. Short, and a planner '
+                    'that the system interrupts loses the step.')
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check(self)
+
+
+@dataclass(frozen=True)
 class PlayerParameters:
     """What scenario_player needs.
 
@@ -122,7 +153,8 @@ class PlayerParameters:
     urdf: str = parameter(
         '', description="URDF file to use instead of the scenario's robot file's.")
     rate: int = parameter(
-        200, low=1, high=1000, unit='Hz', description='Rate of cmd_vel.')
+        200, low=1, high=1000, unit='Hz',
+        description='Rate of cmd_vel. By simulated time, no more than that of /clock.')
     subscribers: int = parameter(
         1, low=1, high=100,
         description='The motion starts once this many nodes listen on its topics: 2 where a '

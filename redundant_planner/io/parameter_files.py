@@ -21,6 +21,7 @@ from redundant_planner.core.parameters import (
     spec_of,
 )
 from redundant_planner.io.node_parameters import (
+    ClockParameters,
     FakeHardwareParameters,
     PlannerNodeParameters,
     PlayerParameters,
@@ -106,6 +107,12 @@ class RobotParameters:
                 f"takes {len(self.locked_joints)}, one per name in 'locked_joints'")
 
 
+# All groups of parameters that the nodes have.
+SETTINGS = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
+            ClockParameters, PlayerParameters, CloudParameters, CameraParameters,
+            PhysicsParameters, MujocoHardwareParameters)
+
+
 def urdf_text(parameters: RobotParameters, folder: Path | None = None) -> str:
     """Return the URDF that the parameters name or hold; empty if they do neither.
 
@@ -178,10 +185,7 @@ def read_parameter_file(path: Path) -> dict[str, Any]:
 
 def known_parameters() -> list[str]:
     """Return the names that a file for this package's nodes may set."""
-    groups = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
-              PlayerParameters, CloudParameters, CameraParameters, PhysicsParameters,
-              MujocoHardwareParameters)
-    return [*(ros_name(entry) for group in groups for entry in fields(group)
+    return [*(ros_name(entry) for group in SETTINGS for entry in fields(group)
               if spec_of(entry).node), *_NAMED, *_EVERY_NODES]
 
 

@@ -81,22 +81,6 @@ class MujocoHardwareParameters:
     noise: float = parameter(
         0.0, low=0.0, high=0.1, unit='rad, m',
         description='Standard deviation of the noise on published positions.')
-    clock: bool = parameter(
-        False, description='Whether the node publishes /clock, for other nodes with use_sim_time. '
-                           'Each period of physics then waits for the joint_command of the last '
-                           'one, and takes no longer than that.')
-    wait_for_cmd_vel: bool = parameter(
-        False, description='With clock: whether each period waits for a cmd_vel (Twist), too. Its '
-                           'sender publishes one per joint_command. No twist comes late then.')
-    real_time_factor: float = parameter(
-        0.0, low=0.0, high=1000.0,
-        description='With clock: how much faster than real time it may be; 0 for as fast as the '
-                    'nodes can.')
-    answer_timeout: float = parameter(
-        0.5, low=0.01, high=60.0, unit='s',
-        description='With clock: how long physics waits for an answer, in real time. '
-                    'Nobody who answers: time goes on at its real pace. Short, and a planner '
-                    'that the system interrupts loses the step.')
     static_obstacles: tuple[str, ...] = parameter(
         (), description="Names of fixed obstacles that are bodies, described as planner_node's "
                         'static_obstacle.NAME parameters: one file serves both nodes.')

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections import deque
-import time
 
 import numpy as np
 import numpy.typing as npt
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
-from redundant_planner.io.node_parameters import FakeHardwareParameters
+from redundant_planner.io.node_parameters import ClockParameters, FakeHardwareParameters
 from redundant_planner.io.parameter_files import RobotParameters, urdf_text
 from redundant_planner.nodes import messages, runtime
 from redundant_planner.nodes.endable_node import EndableNode
+from redundant_planner.nodes.hardware_time import HardwareTime
 from redundant_planner.nodes.joint_messages import JointWriter
 from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
 
@@ -36,6 +35,7 @@ class FakeHardwareNode(EndableNode):
         super().__init__('fake_hardware_node')
         robot = declare(self, RobotParameters)
         settings = declare(self, FakeHardwareParameters)
+        clock = declare(self, ClockParameters)
         for sentence in unknown_parameters(self):
             self.get_logger().warning(sentence)
         urdf = urdf_text(robot)
@@ -56,9 +56,9 @@ class FakeHardwareNode(EndableNode):
         self._description.publish(String(data=urdf))
         self.create_subscription(
             JointState, 'joint_command', self._on_command, qos_profile_sensor_data)
-        self.create_timer(1.0 / settings.rate, self._tick,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
-        runtime.request_priority(settings.thread_priority)
+        self._time = HardwareTime(self, settings.rate, clock, self._tick)
+        if not self._time.simulated:  # nobody is late by simulated time
+            runtime.request_priority(settings.thread_priority)
         self.get_logger().info(
             f'simulating {", ".join(self._arm.ranges.names)} at {settings.rate} Hz')
 
@@ -76,8 +76,10 @@ class FakeHardwareNode(EndableNode):
             self.get_logger().warning(
                 f'joint_command ignored: {error}', throttle_duration_sec=1.0)
             return
-        self._delayed.append((time.monotonic() + self._lag, dq))
-        self._obey(time.monotonic())
+        now = self._time.now()
+        self._delayed.append((now + self._lag, dq))
+        self._obey(now)
+        self._time.commanded(message.header.stamp)
 
     def _obey(self, now: float) -> None:
         """Pass on the commands whose dead time is over, each at its own moment."""
@@ -85,14 +87,13 @@ class FakeHardwareNode(EndableNode):
             self._arm.command(*self._delayed.popleft())
 
     def _tick(self) -> None:
-        now = time.monotonic()
+        now = self._time.now()
         self._obey(now)
         self._arm.advance(now)
         q = self._arm.q
         if self._noise > 0.0:
             q = q + self._random.normal(0.0, self._noise, q.shape)
-        self._publisher.publish(self._writer.message(
-            self.get_clock().now().nanoseconds, q, self._arm.dq))
+        self._publisher.publish(self._writer.message(self._time.stamp_ns(), q, self._arm.dq))
 
 
 def main(args: list[str] | None = None) -> int:

@@ -9,20 +9,17 @@ import sys
 import time
 from typing import Any, NamedTuple
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Twist
 import numpy as np
 import numpy.typing as npt
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
 from rclpy.utilities import remove_ros_args
-from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import known, ParameterError, StateError
+from redundant_planner.io.node_parameters import ClockParameters
 from redundant_planner.io.obstacle_bounds import checked
 from redundant_planner.io.obstacle_entries import obstacle_of
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
@@ -34,8 +31,8 @@ from redundant_planner.io.physics_parameters import (
 )
 from redundant_planner.nodes import messages, physics_report, runtime
 from redundant_planner.nodes.endable_node import EndableNode
+from redundant_planner.nodes.hardware_time import HardwareTime
 from redundant_planner.nodes.joint_messages import JointWriter
-from redundant_planner.nodes.lock_step import LockStep
 from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.ros_parameters import (
     CAPSULE,
@@ -55,8 +52,6 @@ Array = npt.NDArray[np.float64]
 _REPORT_PERIOD, _VIEW_PERIOD = 0.2, 1.0 / 30.0
 # Against real time the arm does not catch up with more than this [s].
 _LONGEST_STANDSTILL = 0.25
-# How often the node looks whether simulated time goes on without an answer [s].
-_LOOK = 1e-3
 
 
 class Options(NamedTuple):
@@ -91,6 +86,7 @@ class MujocoHardwareNode(EndableNode):
         robot_parameters = declare(self, RobotParameters)
         physics = declare(self, PhysicsParameters)
         self._settings = settings = declare(self, MujocoHardwareParameters)
+        clock = declare(self, ClockParameters)
         capsules = declare_entries(self, 'capsule', robot_parameters.capsules, CAPSULE)
         static = declare_entries(
             self, 'static_obstacle', settings.static_obstacles, STATIC_OBSTACLE)
@@ -106,13 +102,12 @@ class MujocoHardwareNode(EndableNode):
             logger.warning(sentence)
         self._takes_positions = physics.servo == POSITION_SERVO
         self._random = np.random.default_rng(0)
-        self._period = 1.0 / settings.rate
         self._obstacles = ObstacleInput(
             'obstacles', ObstacleTracker(
                 checked(obstacle_of(name, entry) for name, entry in static.items()),
                 sorted({robot.base_frame, ''}),
                 transform=transform_lookup(self, robot.base_frame)),
-            self._period, self.guard, self._warn)
+            1.0 / settings.rate, self.guard, self._warn)
         self._film = (Film(options.record, self._arm.model)
                       if options.record is not None and not film_refused else None)
         self._viewer = self._opened_viewer() if options.viewer else None
@@ -121,15 +116,9 @@ class MujocoHardwareNode(EndableNode):
         self._said_contacts: tuple[tuple[int, bool], ...] = ()
         self._real_time_factor = 0.0
         self._connect(urdf)
-        # Simulated time, in periods of joint_states [s].
-        self._ticks = 0
-        self._lock_step = LockStep(
-            self._period, settings.real_time_factor, settings.answer_timeout)
-        self.create_timer(
-            _LOOK if settings.clock else self._period,
-            self._go_on_if_due if settings.clock else self._follow_real_time,
-            clock=Clock(clock_type=ClockType.STEADY_TIME))
-        runtime.request_priority(settings.thread_priority)
+        self._time = HardwareTime(self, settings.rate, clock, self._go_on)
+        if not self._time.simulated:  # nobody is late by simulated time
+            runtime.request_priority(settings.thread_priority)
         logger.info(f'simulating {", ".join(self._arm.ranges.names)} at {physics.physics_rate} Hz')
 
     def _connect(self, urdf: str) -> None:
@@ -141,14 +130,10 @@ class MujocoHardwareNode(EndableNode):
         self._description.publish(String(data=urdf))
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._contacts = self.create_publisher(DiagnosticArray, '~/contacts', latched)
-        self._clock = (self.create_publisher(ClockMessage, '/clock', 10)
-                       if self._settings.clock else None)
         self.create_subscription(
             JointState, 'joint_command', self._on_command, qos_profile_sensor_data)
         self.create_subscription(
             MarkerArray, 'obstacles', self._obstacles.on_message, 10, raw=True)
-        if self._settings.clock and self._settings.wait_for_cmd_vel:
-            self.create_subscription(Twist, 'cmd_vel', self._on_twist, 10, raw=True)
 
     def _on_command(self, message: JointState) -> None:
         names = self._arm.ranges.names
@@ -165,47 +150,14 @@ class MujocoHardwareNode(EndableNode):
         except StateError as error:
             self._warn(f'joint_command ignored: {error}')
             return
-        self._arm.command(self._now(), velocities, positions)
-        if self._clock is not None:
-            stamp = message.header.stamp
-            if stamp.sec * messages.NANOSECONDS + stamp.nanosec >= self._stamp_ns():
-                self._lock_step.answer('joint_command')
-                self._go_on_if_due()
-
-    def _on_twist(self, raw: bytes) -> None:
-        self._lock_step.answer('cmd_vel')
-        self._go_on_if_due()
-
-    def _now(self) -> float:
-        """Return the time that the arm lives in [s]."""
-        return time.monotonic() if self._clock is None else self._ticks * self._period
-
-    def _stamp_ns(self) -> int:
-        """Return the time for stamps [ns]."""
-        if self._clock is None:
-            return time.time_ns()
-        return self._ticks * messages.NANOSECONDS // self._settings.rate
-
-    def _follow_real_time(self) -> None:
-        """Simulate up to now, and say where the arm is."""
-        self._arm.skip_to(time.monotonic() - _LONGEST_STANDSTILL)
-        self._go_on()
-
-    def _go_on_if_due(self) -> None:
-        """Simulate a period once the commands for it are here, and say what time it is."""
-        now = time.monotonic()
-        if not self._lock_step.is_due(now):
-            return
-        self._lock_step.begin(now)
-        self._ticks += 1
-        self._go_on()
-        assert self._clock is not None
-        # After joint_states, so that a tick at this time finds them.
-        self._clock.publish(ClockMessage(clock=self._stamp()))
+        self._arm.command(self._time.now(), velocities, positions)
+        self._time.commanded(message.header.stamp)
 
     def _go_on(self) -> None:
         """Simulate up to now among the obstacles known by now; publish the state."""
-        now, arm = self._now(), self._arm
+        now, arm = self._time.now(), self._arm
+        if not self._time.simulated:
+            arm.skip_to(now - _LONGEST_STANDSTILL)
         self._obstacles.read(now)
         self._obstacles.tracker.expire(now)
         arm.surround(self._obstacles.scene)
@@ -213,7 +165,8 @@ class MujocoHardwareNode(EndableNode):
         q = arm.q
         if self._settings.noise > 0.0:
             q = q + self._random.normal(0.0, self._settings.noise, q.shape)
-        self._states.publish(self._writer.message(self._stamp_ns(), q, arm.dq, arm.torques))
+        self._states.publish(self._writer.message(
+            self._time.stamp_ns(), q, arm.dq, arm.torques))
         if self._film is not None:
             self._film.note(arm.data)
         self._say_contacts()
@@ -226,7 +179,7 @@ class MujocoHardwareNode(EndableNode):
         if state == self._said_contacts:
             return
         self._said_contacts = state
-        self._contacts.publish(physics_report.contacts_message(self._arm, self._stamp()))
+        self._contacts.publish(physics_report.contacts_message(self._arm, self._time.stamp()))
         for contact in contacts:
             if contact.touching:
                 self._warn(f'contact of {contact.link} with {contact.other}: at '
@@ -240,18 +193,14 @@ class MujocoHardwareNode(EndableNode):
             self._real_time_factor = (steps - self._reported_steps) * self._arm.step / since
             self._reported_at, self._reported_steps = now, steps
             self._diagnostics.publish(physics_report.state_message(
-                self.get_fully_qualified_name(), self._arm, self._stamp(),
-                self._real_time_factor, self._lock_step.missed))
+                self.get_fully_qualified_name(), self._arm, self._time.stamp(),
+                self._real_time_factor, self._time.missed))
         if self._viewer is not None and now >= self._viewed_at + _VIEW_PERIOD:
             self._viewed_at = now
             if self._viewer.is_running():
                 self._viewer.sync()
             else:
                 self._viewer = None
-
-    def _stamp(self) -> Time:
-        return Time(**dict(zip(('sec', 'nanosec'),
-                               divmod(self._stamp_ns(), messages.NANOSECONDS))))
 
     def _opened_viewer(self) -> Any:
         """Return MuJoCo's viewer; None where it cannot open, with the reason in the log."""

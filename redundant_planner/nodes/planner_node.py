@@ -179,7 +179,7 @@ class PlannerNode(EndableNode):
         if loop.clock.simulated:
             self.create_timer(1.0 / settings.rate, self._while_time_stands,
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
-        if not runtime.request_priority(settings.thread_priority):
+        if not loop.clock.simulated and not runtime.request_priority(settings.thread_priority):
             self.get_logger().info(
                 'no real-time priority: the system does not grant it (see README, timing)')
 

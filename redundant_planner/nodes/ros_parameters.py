@@ -20,12 +20,13 @@ from rclpy.parameter import Parameter
 from redundant_planner.core.errors import ParameterError, PlannerError, shown, unknown_names
 from redundant_planner.core.parameters import checked, PlannerParameters, ros_name, spec_of
 from redundant_planner.io.node_parameters import (
+    ClockParameters,
     FakeHardwareParameters,
     PlannerNodeParameters,
     PlayerParameters,
 )
 from redundant_planner.io.obstacle_entries import POSE_SIZES
-from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.parameter_files import RobotParameters, SETTINGS
 from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
 from redundant_planner.io.renamed_parameters import what_became_of
@@ -164,9 +165,7 @@ def unknown_parameters(node: Node) -> list[str]:
             margin that silently no longer counts would be dangerous.
     """
     names = {*_ROS, *node.list_parameters([], 0).names}
-    for settings in (RobotParameters, PlannerParameters, PlannerNodeParameters,
-                     FakeHardwareParameters, PlayerParameters, CloudParameters,
-                     CameraParameters, PhysicsParameters, MujocoHardwareParameters):
+    for settings in SETTINGS:
         names |= {ros_name(entry) for entry in fields(settings) if spec_of(entry).node}
     not_mine = ['qos_overrides.']
     for prefix, listed, sizes in (
@@ -257,6 +256,7 @@ def parameter_page() -> str:
             ('fake_hardware_node', FakeHardwareParameters),
             ('mujoco_hardware_node', MujocoHardwareParameters),
             ('mujoco_hardware_node: the physics', PhysicsParameters),
+            ('Both simulated arms: simulated time', ClockParameters),
             ('scenario_player', PlayerParameters),
             ('cloud_obstacles', CloudParameters),
             ('depth_camera', CameraParameters)):

@@ -16,14 +16,17 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.io.bag_writer import BagWriter
+from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.scenario import Scenario
 from redundant_planner.nodes import physics_report
+from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.runtime import keep_off_shared_memory
 from redundant_planner.tools.child_processes import cpu_seconds, LiveError, Processes
@@ -42,6 +45,7 @@ _TOPICS = {
     'planner_node/ticks': (Float64MultiArray, 'std_msgs/msg/Float64MultiArray'),
     'diagnostics': (DiagnosticArray, 'diagnostic_msgs/msg/DiagnosticArray'),
 }
+_CLOCK = '/clock'
 # Of an arm with mass besides.
 _CONTACTS = 'mujoco_hardware_node/contacts'
 _LATCHED = (_CONTACTS, 'robot_description', 'planner_node/configuration', 'planner_node/ticks')
@@ -49,6 +53,8 @@ _LATCHED = (_CONTACTS, 'robot_description', 'planner_node/configuration', 'plann
 _START_PATIENCE = 120.0
 # How long the arm's process may draw a film after the motion [s].
 _FILM_PATIENCE = 300.0
+# How long a simulated arm waits for an answer [s].
+_ANSWER_PATIENCE = 30.0
 # How often what has come is recorded [s].
 _LOOK = 0.02
 
@@ -72,7 +78,7 @@ def play(
     scenario: Scenario, scenario_file: Path, bag: Path, *, planner_files: Sequence[Path] = (),
     planner_values: Mapping[str, object] | None = None, camera_files: Sequence[Path] = (),
     domain_id: int | None = None, kind: type[Processes] = Processes,
-    physics: Sequence[str] | None = None,
+    physics: Sequence[str] | None = None, simulated_time: bool = False,
 ) -> LiveRun:
     """Play a scenario through planner_node and a simulated arm and record it.
 
@@ -88,6 +94,8 @@ def play(
         kind: of processes the nodes are.
         physics: options of mujoco_hardware_node, which is the arm then; None for
             fake_hardware_node.
+        simulated_time: whether the arm sets the pace, and waits for planner and player in each
+            of its periods: what is recorded then does not depend on how busy the machine is.
 
     Raises:
         LiveError: a process failed or the motion did not end in time.
@@ -96,7 +104,14 @@ def play(
     values = dict(planner_values or {})
     arm = {'initial_joints': list(scenario.start),
            'initial_positions': list(scenario.start.values())}
-    urdf = {'urdf': values['urdf']} if 'urdf' in values else {}
+    common: dict[str, object] = {'use_sim_time': True} if simulated_time else {}
+    if 'urdf' in values:
+        common['urdf'] = values['urdf']
+    # A sender that is waited for in every period has to speak in every period.
+    pace = {'rate': values.get('rate', PlannerNodeParameters().rate)} if simulated_time else {}
+    if simulated_time:
+        arm |= {'clock': True, 'wait_for_cmd_vel': True, 'answer_timeout': _ANSWER_PATIENCE,
+                'real_time_factor': 1.0}
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     keep_off_shared_memory()
     context = Context()
@@ -105,21 +120,23 @@ def play(
         with kind(domain_id) as processes, BagWriter(bag) as writer:
             node = Node('recorder', context=context, enable_rosout=False,
                         start_parameter_services=False)
-            recorder = _Recorder(node, writer, () if physics is None else (_CONTACTS,))
+            recorder = _Recorder(
+                node, writer, () if physics is None else (_CONTACTS,), simulated_time)
             hardware = processes.start(
                 'fake_hardware_node' if physics is None else 'mujoco_hardware_node',
-                [scenario.robot_file], {**arm, **urdf}, options=physics or ())
+                [scenario.robot_file], {**arm, **common, **pace}, options=physics or ())
             for name in ('depth_camera', 'cloud_obstacles') if camera_files else ():
-                processes.start(name, [scenario.robot_file, *camera_files], urdf)
+                processes.start(name, [scenario.robot_file, *camera_files], common)
             planner = processes.start(
-                'planner_node', [scenario.robot_file, *planner_files], values)
+                'planner_node', [scenario.robot_file, *planner_files], {**common, **values})
             _wait_until(lambda: 'joint_command' in recorder.seen, processes, recorder,
                         _START_PATIENCE, 'no joint_command was published')
             if camera_files:
                 _wait_until(lambda: 'obstacles' in recorder.seen, processes, recorder,
                             _START_PATIENCE, 'cloud_obstacles published nothing')
             player = processes.start(
-                'scenario_player', values={'scenario': scenario_file, 'subscribers': 2, **urdf},
+                'scenario_player',
+                values={'scenario': scenario_file, 'subscribers': 2, **common, **pace},
                 remap={'obstacles': 'camera_obstacles'} if camera_files else None)
             _wait_until(lambda: 'cmd_vel' in recorder.seen, processes, recorder,
                         _START_PATIENCE, 'no cmd_vel was published')
@@ -165,15 +182,18 @@ def _wait_until(
 class _Recorder:
     """Writes every message of the package's topics to a bag, with the time of its publication.
 
-    Unlike that of its arrival, it does not depend on whether this process is awake.
+    Unlike that of its arrival, it does not depend on whether this process is awake. Where an arm
+    sets the pace, it is simulated time.
 
     Attributes:
         seen: topics of which there was a message.
         physics: the latest entry of an arm with mass in /diagnostics.
     """
 
-    def __init__(self, node: Node, writer: BagWriter, reports: Sequence[str]) -> None:
-        """Subscribe on a node, to topics of reports besides."""
+    def __init__(
+        self, node: Node, writer: BagWriter, reports: Sequence[str], simulated_time: bool,
+    ) -> None:
+        """Subscribe on a node, to topics of reports and to /clock besides."""
         self.seen: set[str] = set()
         self.physics: dict[str, str] = {}
         self._writer = writer
@@ -184,14 +204,22 @@ class _Recorder:
             self._inboxes[topic] = PolledSubscription(node, message_class, topic, QoSProfile(
                 depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL if topic in _LATCHED
                 else DurabilityPolicy.VOLATILE))
+        if simulated_time:
+            self._inboxes[_CLOCK] = PolledSubscription(node, Clock, _CLOCK, QoSProfile(depth=1000))
+        self._simulated: int | None = 0 if simulated_time else None
 
     def record(self) -> None:
         """Write what has come since the last call."""
         messages = [(time_ns, topic, message) for topic, inbox in self._inboxes.items()
                     for message, time_ns in inbox.fetch_stamped()]
         for time_ns, topic, message in sorted(messages, key=itemgetter(0)):
+            if topic == _CLOCK:
+                clock = deserialize_message(message, Clock).clock
+                self._simulated = clock.sec * NANOSECONDS + clock.nanosec
+                continue
             self.seen.add(topic)
             if topic == 'diagnostics':
                 self.physics = physics_report.read_state(
                     deserialize_message(message, DiagnosticArray)) or self.physics
-            self._writer.write(f'/{topic}', time_ns, message)
+            self._writer.write(
+                f'/{topic}', time_ns if self._simulated is None else self._simulated, message)

@@ -23,6 +23,7 @@ from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.bag_repair import repair
 from redundant_planner.io.bag_writer import BagWriter, message_type_known
 from redundant_planner.io.printable import printable
+from redundant_planner.nodes.loop_clock import loop_clock
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
 
 # Relative names, so that a namespace holds; ~ stands for the planner's name.
@@ -47,6 +48,7 @@ class Recorder:
         """
         self.counts: dict[str, int] = {}
         self._node, self._writer, self._topics = node, writer, topics
+        self._now_ns = loop_clock(node).stamp_ns
 
     def look(self) -> None:
         """Subscribe to the topics that have a publisher by now."""
@@ -71,7 +73,7 @@ class Recorder:
     def _keeper(self, topic: str) -> Callable[[bytes], None]:
         def keep(message: bytes) -> None:
             self.counts[topic] += 1
-            self._writer.write(topic, time.time_ns(), message)
+            self._writer.write(topic, self._now_ns(), message)
         return keep
 
 
@@ -128,7 +130,8 @@ def main(args: list[str] | None = None) -> int:
     """Run record_bag; return the process's exit status."""
     parser = argparse.ArgumentParser(
         prog='record_bag', description=__doc__,
-        epilog='ROS arguments (--ros-args -r __ns:=/left …) may follow.')
+        epilog='ROS arguments may follow: --ros-args -r __ns:=/left, or -p use_sim_time:=true '
+               'for times by /clock.')
     parser.add_argument('bag', nargs='?', type=Path, help='folder to write')
     parser.add_argument('--planner', default='planner_node', help="name of the planner's node")
     parser.add_argument('--topics', nargs='+', default=[], help='further topics')

@@ -66,14 +66,14 @@ def test_the_papers_motion_live(paper_runs):
 
 
 def test_looking_ahead_live_takes_the_shorter_joint_path(paper_runs):
-    """variational, told by the player what comes, moves the joints less than the instant does."""
+    """variational, told by the player what comes, moves the joints less than the default."""
     robot = load_scenario(PAPER).load_robot()
     length = {}
     for method in ('dynamic_factor', 'variational'):
         summary = summarise(robot, read_recording(paper_runs[method]))
         assert summary.path_error < 1e-3 and summary.clearance.level > 0.0
         length[method] = summary.path.sum()
-    assert length['variational'] < 0.9 * length['dynamic_factor']
+    assert length['variational'] < 0.93 * length['dynamic_factor']
 
 
 def test_a_panda_follows_a_typed_twist_for_five_seconds():

@@ -15,10 +15,8 @@ from rclpy.node import Node
 import yaml
 
 from redundant_planner.core.errors import ParameterError
-from redundant_planner.core.parameters import PlannerParameters, ros_name, spec_of
-from redundant_planner.io.parameter_files import RobotParameters
-from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
-from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
+from redundant_planner.core.parameters import ros_name, spec_of
+from redundant_planner.io.parameter_files import RobotParameters, SETTINGS
 from redundant_planner.nodes.disputed_parameters import disputed
 from redundant_planner.nodes.ros_parameters import (
     changed,
@@ -28,7 +26,6 @@ from redundant_planner.nodes.ros_parameters import (
     FakeHardwareParameters,
     parameter_page,
     PlannerNodeParameters,
-    PlayerParameters,
     STATIC_OBSTACLE,
     unknown_parameters,
 )
@@ -167,11 +164,6 @@ def test_names_of_obstacles_may_have_dots():
         'static_obstacles': ['a'],
         }) == {('my.wall', 'center'): [1.0, 2.5, 3.0]}
     assert checked_entry('capsule.a.radius', 1, 1) == 1.0
-
-
-SETTINGS = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
-            PlayerParameters, CloudParameters, CameraParameters, PhysicsParameters,
-            MujocoHardwareParameters)
 
 
 @pytest.mark.parametrize('settings', SETTINGS)
