@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from redundant_planner.core.parameters import PlannerParameters
     from redundant_planner.core.planner import Planner
     from redundant_planner.core.robot.capsules import Capsule
+    from redundant_planner.core.robot.se3 import Pose
     from redundant_planner.core.step_result import StepResult
+    from redundant_planner.core.target.progress import Progress, TargetState
     from redundant_planner.io.robot_files import Robot
     from redundant_planner.simulation import Motion, simulate
 
@@ -45,13 +47,16 @@ __all__ = [
     'Planner',
     'PlannerError',
     'PlannerParameters',
+    'Pose',
     'Preview',
+    'Progress',
     'Robot',
     'RobotError',
     'ScenarioError',
     'Scene',
     'StateError',
     'StepResult',
+    'TargetState',
     'simulate',
 ]
 
@@ -64,7 +69,9 @@ _MODULES = {
     'core.parameters': ('PlannerParameters',),
     'core.planner': ('Planner',),
     'core.robot.capsules': ('Capsule',),
+    'core.robot.se3': ('Pose',),
     'core.step_result': ('StepResult',),
+    'core.target.progress': ('Progress', 'TargetState'),
     'io.robot_files': ('Robot',),
     'simulation': ('Motion', 'simulate'),
 }

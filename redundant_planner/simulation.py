@@ -17,6 +17,7 @@ from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import StepResult
 
 Array = npt.NDArray[np.float64]
@@ -38,6 +39,7 @@ class AnyPlanner(Protocol):
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
+        target: Pose | None = None,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`, as `Planner.step`."""
 
@@ -66,7 +68,7 @@ class Motion:
 def simulate(
     planner: AnyPlanner, start: npt.ArrayLike,
     twist: npt.ArrayLike | Callable[[float], npt.ArrayLike], scene: Scene, duration: float,
-    dt: float, preview: Preview | None = None,
+    dt: float, preview: Preview | None = None, target: Pose | None = None,
 ) -> Motion:
     """Run the planner from rest, in closed loop with an arm that follows at once.
 
@@ -82,6 +84,7 @@ def simulate(
         dt: period of the loop [s].
         preview: the twists that will be commanded, over the time from the start; None if only
             the present one is known.
+        target: where the tip shall go; the twist does not count then.
 
     Raises:
         StateError: `start` or a twist does not fit the robot, or a time is not positive.
@@ -100,7 +103,8 @@ def simulate(
         now = i * dt
         result = planner.step(
             positions[i], np.asarray(twist(now) if callable(twist) else twist, dtype=float),
-            _moved(scene, now), dt, None if preview is None else preview.ahead(now))
+            _moved(scene, now), dt, None if preview is None else preview.ahead(now),
+            target)
         results.append(result)
         positions[i + 1] = positions[i] + dt * result.dq
         clearance[i + 1] = _distance(robot, positions[i + 1], _moved(scene, now + dt), margin)

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import Point, Transform, Twist, TwistStamped
+from geometry_msgs.msg import Point, PoseStamped, Transform, Twist, TwistStamped
 import numpy as np
 import numpy.typing as npt
 from rclpy.serialization import serialize_message
@@ -24,6 +24,7 @@ from benchmark.fuzz.tally import Tally
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.payload import Payload
 from redundant_planner.io.resources import share_directory
@@ -75,9 +76,11 @@ def attack(random: Random, folder: Path, tally: Tally) -> None:
     takers = {
         'attached': attach, 'joint_states': joints.positions,
         'obstacles': lambda raw: book.update(raw, clock[0]), 'cmd_vel': command.on_twist,
-        'stamped': command.on_twist_stamped, 'preview': command.on_preview}
+        'stamped': command.on_twist_stamped, 'preview': command.on_preview,
+        'target': command.on_target}
     makers = {'attached': marker_array, 'joint_states': joint_state, 'obstacles': marker_array,
-              'cmd_vel': twist, 'stamped': stamped_twist, 'preview': preview}
+              'cmd_vel': twist, 'stamped': stamped_twist, 'preview': preview,
+              'target': target_pose}
     earlier: list[bytes] = [b'']
     for number in range(MESSAGES):
         topic = str(random.choice(list(takers)))
@@ -108,7 +111,8 @@ def _ticks(
         scene = book.scene
         tally.check_finite(scene.centers, scene.rotations, scene.half_extents, scene.velocities)
         result = tally.attempt(lambda: planner.step(
-            q, command.twist(10.0), book.scene, DT, command.ahead(10.0)))  # noqa: B023
+            q, command.twist(10.0), book.scene, DT, command.ahead(10.0),  # noqa: B023
+            command.target(planner.reference or _tip(robot, q))))  # noqa: B023
         if result is None or not tally.check_finite(result.dq):
             planner.reset()
             return START.copy(), np.zeros(robot.n)
@@ -119,6 +123,11 @@ def _ticks(
         q = q + DT * dq
         clock[0] += DT
     return q, dq
+
+
+def _tip(robot: Robot, q: Array) -> Pose:
+    arm = robot.kinematics(q)
+    return Pose(arm.tip_position, arm.tip_rotation)
 
 
 def _number(random: Random, size: float = 1.0) -> float:
@@ -190,6 +199,20 @@ def stamped_twist(random: Random, robot: Robot) -> TwistStamped:
     """Return a twist with a header."""
     message = TwistStamped(twist=twist(random, robot))
     _head(random, message.header)
+    return message
+
+
+def target_pose(random: Random, robot: Robot) -> PoseStamped:
+    """Return a target near the arm, mostly."""
+    message = PoseStamped()
+    _head(random, message.header)
+    _fill(random, message.pose.position, 1.0)
+    quaternion = random.normal(size=4)
+    quaternion /= np.linalg.norm(quaternion)
+    for axis, value in zip('xyzw', quaternion):
+        setattr(message.pose.orientation, axis, float(value))
+    if random.random() < 0.1:
+        _fill(random, message.pose.orientation, 1.0)
     return message
 
 

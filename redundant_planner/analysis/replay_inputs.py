@@ -13,6 +13,7 @@ from redundant_planner.analysis.robot_of_bag import robot_of_bag
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.io.bag_reader import Bag, Event
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk
@@ -22,6 +23,7 @@ from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import COMMAND_TIMEOUT, number_of
 from redundant_planner.io.recorded_inputs import sound_twist
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
+from redundant_planner.io.target_reader import read_target
 
 Array = npt.NDArray[np.float64]
 
@@ -44,6 +46,7 @@ class Inputs:
         ticks: every tick's inputs, if they were recorded, and the times of their recording.
         twists: times and cmd_vel.
         obstacles, attached: times and serialised MarkerArrays.
+        targets: times and target_pose, in the base frame.
         previews: arrival times, beginnings by their stamps, and what was announced.
         commands: joint_command, stamp [ns] → velocities (n,) [rad/s, m/s].
         raw: times and messages that go into the new bag as they are, by topic.
@@ -56,6 +59,7 @@ class Inputs:
     twists: list[tuple[float, Array]] = field(default_factory=list)
     obstacles: list[tuple[float, bytes]] = field(default_factory=list)
     attached: list[tuple[float, bytes]] = field(default_factory=list)
+    targets: list[tuple[float, Pose]] = field(default_factory=list)
     previews: list[tuple[float, float, Preview]] = field(default_factory=list)
     commands: dict[int, Array] = field(default_factory=dict)
     raw: list[tuple[str, float, bytes]] = field(default_factory=list)
@@ -76,7 +80,8 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
     joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out)
               for topic in ('joint_states', 'joint_command')}
     for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', 'obstacles',
-                          'attached', 'cmd_vel_preview', 'robot_description'), order=()):
+                          'attached', 'cmd_vel_preview', 'target_pose', 'robot_description'),
+                         order=()):
         if isinstance(item, JointChunk):
             chosen = joints[item.topic].of(item)
             if chosen is None:
@@ -95,6 +100,12 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
             twist = sound_twist(item, bag.left_out)
             if twist is not None:
                 inputs.twists.append((item.arrival, twist))
+        elif item.topic == 'target_pose':
+            try:
+                inputs.targets.append((item.arrival, _target(item, robot)))
+            except StateError as error:
+                bag.left_out.add('target_pose', str(error))
+            inputs.raw.append((item.topic, item.arrival, item.raw))
         elif item.topic == 'cmd_vel_preview':
             preview = _preview(item)
             if preview is not None:
@@ -149,6 +160,19 @@ def _preview(item: Event) -> Preview | None:
         return None
 
 
+def _target(item: Event, robot: Robot) -> Pose:
+    """Return a target in the base frame.
+
+    Raises:
+        StateError: it is none, or given in another frame, whose place is not in the bag.
+    """
+    _, frame, pose = read_target(bytes(item.raw))
+    if frame not in ('', robot.base_frame):
+        raise StateError(f"they are given in frame '{frame}'; without ~/ticks those in "
+                         f"'{robot.base_frame}' are replayed")
+    return pose
+
+
 def _begin(item: Event, origin_ns: int) -> float:
     """Return when a preview begins: at its stamp, or on receipt if that is of another clock."""
     stamp = item.message.header.stamp
@@ -177,16 +201,20 @@ def _ticks_at(
 ) -> list[tuple[float, RecordedTick]]:
     """Make up the ticks of a part, whose first joint state is `start`."""
     arrivals = [np.array([entry[0] for entry in listed]) for listed in (
-        inputs.twists, inputs.obstacles, inputs.previews, inputs.attached)]
-    latest, known, announced, attached = (
+        inputs.twists, inputs.obstacles, inputs.previews, inputs.attached, inputs.targets)]
+    latest, known, announced, attached, aimed = (
         np.searchsorted(a, times, side='right') for a in arrivals)
     ticks = []
     kind, still = TickKind.STARTING, np.zeros(6)
-    for time, twist, scene, preview, held in zip(times, latest, known, announced, attached):
+    for time, twist, scene, preview, held, aim in zip(
+            times, latest, known, announced, attached, aimed):
         fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
+        # Whichever came last commands.
+        target = inputs.targets[aim - 1][1] if aim and not (
+            twist and inputs.twists[twist - 1][0] > inputs.targets[aim - 1][0]) else None
         elapsed = time - inputs.previews[preview - 1][1] if preview and fresh else np.nan
         ticks.append((float(time), RecordedTick(
             0, float(time), kind, int(scene), int(preview), float(elapsed), int(held),
-            inputs.twists[twist - 1][1] if fresh else still, start)))
+            inputs.twists[twist - 1][1] if fresh else still, start, target)))
         kind = TickKind.GOING_ON
     return ticks

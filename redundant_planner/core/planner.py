@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import gains_of, joint_weights, limits_of, robot_constants
 from redundant_planner.core.errors import known, ParameterError, StateError
+from redundant_planner.core.horizon.least_norm_path import PathJoints
 from redundant_planner.core.horizon.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.kernels import compiled, OutVector, Vector
@@ -29,12 +30,13 @@ from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.redundancy.reference import followed_pose, Start
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import checked_pose, Pose
 from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, window_of
 from redundant_planner.core.safety.limits import can_stop, slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
 from redundant_planner.core.step_result import Nearest, StepResult
+from redundant_planner.core.target.straight_way import StraightWay
 from redundant_planner.core.tick import Memory, Wish, wish, World
 
 Array = npt.NDArray[np.float64]
@@ -78,7 +80,8 @@ class Planner:
     The same sequence of inputs gives the same sequence of outputs. Between ticks it remembers:
     the last tick (its velocity, the reference pose, how much of the path was followed), when the
     links were last measured against each other, the obstacles near the arm (`ObstacleWatch`),
-    the joint path ahead (`LookAhead`) and the turn that evades something (`Evasion`).
+    the joint path ahead (`LookAhead`), the way to its target (`StraightWay`) and the turn that
+    evades something (`Evasion`).
     """
 
     def __init__(
@@ -125,6 +128,9 @@ class Planner:
         self._links = self._never_measured()
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
+        self._way = StraightWay(
+            robot, limits, PathJoints(constants.scaling, limits.positions[1], limits.positions[0]),
+            parameters.limits_linear_speed, parameters.limits_angular_speed)
         self._evasion = Evasion(robot, parameters)
         self._watch = watch
         drive = parameters.drive_lag, parameters.drive_dead_time
@@ -165,6 +171,7 @@ class Planner:
         self._observer.reset()
         self._links = self._never_measured()
         self._look_ahead.reset()
+        self._way.reset()
         self._evasion.reset()
         self._watch.reset()
 
@@ -188,7 +195,7 @@ class Planner:
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float,
-        ahead: Preview | TwistAhead | None = None,
+        ahead: Preview | TwistAhead | None = None, target: Pose | None = None,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`.
 
@@ -203,9 +210,12 @@ class Planner:
                 (`Preview.ahead` for one that started earlier), or a function of times from now
                 (N + 1,) [s] that returns the mean twists (N, 6) from each to the next. Without
                 it the planner takes the present command as held.
+            target: where the tip shall go, along a straight line and about one axis, as fast as
+                the limits allow; None to follow the twist. With a target, `twist` and `ahead` do
+                not count.
 
         Raises:
-            StateError: `q` or `twist` does not fit the robot, or `dt` is shorter than 1e-4 s.
+            StateError: `q`, `twist` or `target` does not fit, or `dt` is shorter than 1e-4 s.
         """
         # Sense: where the arm is, and the obstacles near it.
         command, commanded = self._checked_command(twist, dt)
@@ -213,8 +223,15 @@ class Planner:
         pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
         around = self._watch.look(scene, arm, last.dq, dt)
 
-        # Aim: out of the course of what moves, and along the joint path ahead.
+        # Aim: at the target, out of the course of what moves, and along the joint path ahead.
         start = Start(arm, last.reference or pose, command, last.dq, dt)
+        if target is None:
+            self._way.reset()
+        else:
+            command, ahead = self._way.command(
+                start, checked_pose(target), self.robot.full_twist(last.followed),
+                0.5 * (self._mean.ticks - 1) * dt)
+            start, commanded = start._replace(command=command), bool(command.any())
         turn = self._turn(start, around)
         path = self._look_ahead.velocity(start, around.ahead, ahead, self._busy)
 
@@ -248,7 +265,8 @@ class Planner:
             sent.copy(), desired.least_norm, desired.homogeneous, desired.factor,
             result.scale, result.stage, '; '.join(reasons), '; '.join(fallbacks),
             desired.clearance_index, self._nearest(desired, around),
-            desired.manipulability, pose, desired.task.error, jerk_kept)
+            desired.manipulability, pose, desired.task.error, jerk_kept,
+            None if target is None else self._way.progress(target, pose))
 
     def braked(self, dq: Array, dt: float) -> None:
         """Note that something else than the last step's velocity was commanded, to stop the arm.

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.stages import Stage
+from redundant_planner.core.target.progress import Progress
 
 Array = npt.NDArray[np.float64]
 
@@ -50,6 +51,7 @@ class StepResult(NamedTuple):
             the arm.
         path_error: (6,) reference pose minus `pose` before this tick, in command axes [m, rad].
         jerk_kept: whether the jerk limits hold; where something moves in, they give way.
+        progress: towards the target, None without one.
     """
 
     dq: Array
@@ -66,3 +68,4 @@ class StepResult(NamedTuple):
     pose: Pose
     path_error: Array
     jerk_kept: bool = True
+    progress: Progress | None = None

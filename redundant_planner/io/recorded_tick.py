@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
+from redundant_planner.core.robot.se3 import checked_pose, Pose
 
 Array = npt.NDArray[np.float64]
 
@@ -19,6 +20,9 @@ _BILLION = 10**9
 _HEAD, _TWIST = 8, 6
 # Rows with a count of messages on `attached` add this to their kind; those of 0.1.0 have none.
 _WITH_ATTACHED = 10
+# Rows of a tick that goes to a target add this, and have position and rotation matrix at the end.
+_WITH_TARGET = 20
+_TARGET = 12
 # Stamps count seconds in 32 bits, and every other number is smaller.
 _LARGEST = 2.0**32
 
@@ -43,6 +47,7 @@ class RecordedTick(NamedTuple):
         attached_messages: how many on `attached` had been taken in before the tick.
         twist: (6,) in the command frame [m/s, rad/s].
         q: (n,) measured posture [rad, m].
+        target: that commands the arm in place of the twist, in the base frame; None for none.
     """
 
     stamp_ns: int
@@ -54,14 +59,18 @@ class RecordedTick(NamedTuple):
     attached_messages: int
     twist: Array
     q: Array
+    target: Pose | None = None
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
+        kind, target = self.kind + _WITH_ATTACHED, np.empty(0)
+        if self.target is not None:
+            kind += _WITH_TARGET
+            target = np.concatenate((self.target.position, self.target.rotation.ravel()))
         return array.array('d', np.concatenate((
-            (*divmod(self.stamp_ns, _BILLION), self.time, self.kind + _WITH_ATTACHED,
-             self.obstacle_messages,
+            (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
              self.preview_messages, self.preview_elapsed, self.attached_messages), self.twist,
-            self.q)).tobytes())
+            self.q, target)).tobytes())
 
     @classmethod
     def of(cls, numbers: Sequence[float], n: int) -> RecordedTick:
@@ -72,6 +81,13 @@ class RecordedTick(NamedTuple):
                 impossible.
         """
         row = np.array(numbers, dtype=float)
+        target = None
+        if row.ndim == 1 and len(row) >= _HEAD + _TARGET and (
+                row[3] >= _WITH_ATTACHED + _WITH_TARGET):
+            target = checked_pose(Pose(row[-_TARGET:-_TARGET + 3],
+                                       row[-_TARGET + 3:].reshape(3, 3)))
+            row = row[:-_TARGET]
+            row[3] -= _WITH_TARGET
         if row.ndim == 1 and len(row) >= _HEAD:
             if row[3] >= _WITH_ATTACHED:
                 row[3] -= _WITH_ATTACHED
@@ -93,4 +109,4 @@ class RecordedTick(NamedTuple):
                              'be whole numbers, 0 or more')
         return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
                    int(row[4]), int(row[5]), float(row[6]), int(row[7]),
-                   row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:])
+                   row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:], target)

@@ -1,4 +1,4 @@
-"""The operator's command: the latest twist, its age, and the preview of later ones."""
+"""The operator's command: the latest twist or target, its age, and the preview of later twists."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.errors import known, StateError
+from redundant_planner.core.errors import known, ObstacleError, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.io.obstacle_tracker import Transform
 from redundant_planner.io.preview_reader import read_preview
+from redundant_planner.io.target_reader import read_target
 from redundant_planner.nodes import messages
 
 Array = npt.NDArray[np.float64]
@@ -21,7 +25,7 @@ _ANNOUNCED = 3600.0
 
 
 class CommandInput:
-    """The twist in force; it ages from the moment it came.
+    """The twist or target in force, whichever came last. A twist ages from the moment it came.
 
     Attributes:
         frame: 'base' or 'tool', the axes of the latest twist.
@@ -32,6 +36,7 @@ class CommandInput:
     def __init__(
         self, frames: dict[str, str], command_frame: str, clock: Callable[[], float],
         ros_time: Callable[[], float], warn: Callable[[str], None],
+        transform: Callable[..., Transform] | None = None,
     ) -> None:
         """Begin without a command.
 
@@ -41,7 +46,9 @@ class CommandInput:
             clock: of the loop, by which commands age [s].
             ros_time: that message stamps are compared with [s].
             warn: takes a sentence about a message that was refused.
+            transform: see `transform_lookup`.
         """
+        self._transform = transform
         self._frames, self._command_frame = frames, command_frame
         self._clock, self._ros_time, self._warn = clock, ros_time, warn
         self._unstamped = False
@@ -60,6 +67,27 @@ class CommandInput:
         self._twist: Array = np.zeros(6)
         self._time = -np.inf
         self.frame = self._command_frame
+        self.forget_target()
+
+    def forget_target(self) -> None:
+        """Let go of the target."""
+        self._target: Pose | None = None
+        self._from_tip = False
+
+    @property
+    def has_target(self) -> bool:
+        """Whether a target commands the arm."""
+        return self._target is not None
+
+    def target(self, tip: Pose) -> Pose | None:
+        """Return where the tip shall go, in the base frame; None if a twist commands.
+
+        Args:
+            tip: where it should be now; a target in the tip's frame is meant from there.
+        """
+        if self._target is not None and self._from_tip:
+            self._target, self._from_tip = se3.composed(tip, self._target), False
+        return self._target
 
     def forget_preview(self) -> None:
         """Drop the preview: its time means nothing any more."""
@@ -130,6 +158,38 @@ class CommandInput:
         self._twist = twist
         self._time = self._clock() - max(late, 0.0)
         self.frame = frame
+        self.forget_target()
+
+    def on_target(self, raw: bytes) -> None:
+        """Take a serialised target; it holds until something else is commanded."""
+        try:
+            stamp, name, pose = read_target(raw)
+            kind = self._frames.get(name) if name else 'base'
+            if kind is None:
+                pose = self._from_elsewhere(name, pose)
+        except StateError as error:
+            self._warn(f'target_pose ignored: {error}')
+            return
+        ahead = stamp - self._ros_time() if stamp else 0.0
+        if ahead > _FUTURE:
+            self._warn(f'target_pose ignored: its stamp lies {ahead:.3f} s in the future; do '
+                       'sender and planner use the same clock (use_sim_time)?')
+            return
+        self._target, self._from_tip = pose, kind == 'tool'
+
+    def _from_elsewhere(self, name: str, pose: Pose) -> Pose:
+        """Return a pose given in another frame in the base's.
+
+        Raises:
+            StateError: there is no tf2 to ask, or it does not know the frame.
+        """
+        if self._transform is None:
+            raise StateError(f'it is given in frame {name!r}; without tf2_ros it must be in '
+                             f'{known(self._frames)}')
+        try:
+            return se3.composed(Pose(*self._transform(name)), pose)
+        except ObstacleError as error:
+            raise StateError(f'it is given in frame {name!r}: {error}') from None
 
     def on_preview(self, raw: bytes) -> None:
         """Take a serialised preview: the commands from the message's stamp on.

@@ -13,6 +13,7 @@ from redundant_planner.core.errors import ObstacleError, StateError
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.io.node_parameters import PlannerNodeParameters
@@ -118,6 +119,14 @@ class ControlLoop:
         except StateError as error:
             self._warn(f'joint_states ignored: {error}')
 
+    def on_target(self, raw: bytes) -> None:
+        """Take a serialised target_pose."""
+        if isinstance(self.planner, Planner):
+            self.command.on_target(raw)
+        else:
+            self._warn(f"target_pose ignored: method '{self.planner.parameters.method}' follows "
+                       'twists only')
+
     def tick(self) -> bool:
         """Command the arm once; an unforeseen exception brings it to rest.
 
@@ -187,6 +196,9 @@ class ControlLoop:
         if decision.warning:
             self._warn(decision.warning)
         if decision.hold:
+            if self.command.has_target:
+                self._warn(f'target_pose forgotten: {decision.hold}')
+                self.command.forget_target()
             self._brake()
         else:
             self._move(decision.ignore_command)
@@ -219,17 +231,19 @@ class ControlLoop:
             kind = TickKind.STARTING
             self.planner.reset()
             self._position_command.reset()
-        twist, ahead = _NO_TWIST, None
+        twist, ahead, target = _NO_TWIST, None, None
         if not ignore_command:
             timeout = self.settings.incoming_command_timeout
+            target = self._target(posture)
             twist = self._in_command_frame(self.command.twist(timeout), posture)
             ahead = self.command.ahead(timeout)
         self.state.trouble = ignore_command
         self.obstacles.tracker.expire(self.now)
-        result = self.planner.step(posture, twist, self.obstacles.scene, self._period, ahead)
+        result = self.planner.step(
+            posture, twist, self.obstacles.scene, self._period, ahead, target)
         if not np.isfinite(result.dq).all():
             raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
-        self._send(result.dq, kind, twist, ahead)
+        self._send(result.dq, kind, twist, ahead, target)
         self._stop.moving(result.dq)
         if kind is TickKind.STARTING:
             self._say_what_touches(posture)
@@ -244,6 +258,16 @@ class ControlLoop:
         assert posture is not None, 'the arm moves only after a measurement'
         return posture
 
+    def _target(self, posture: Array) -> Pose | None:
+        """Return where the tip shall go; None if a twist commands."""
+        if not self.command.has_target:
+            return None
+        tip = self.planner.reference
+        if tip is None:
+            arm = self._robot.kinematics(posture)
+            tip = Pose(arm.tip_position, arm.tip_rotation)
+        return self.command.target(tip)
+
     def _in_command_frame(self, twist: Array, posture: Array) -> Array:
         """Return a twist (6,) of the operator's in the planner's command axes."""
         if self.command.frame == self._robot.command_frame or not twist.any():
@@ -253,7 +277,7 @@ class ControlLoop:
 
     def _send(
         self, dq: Array, kind: TickKind, twist: Array = _NO_TWIST,
-        ahead: TwistAhead | None = None,
+        ahead: TwistAhead | None = None, target: Pose | None = None,
     ) -> None:
         """Publish a command (n,) at its moment, and the inputs that led to it."""
         posture = self._posture()
@@ -268,7 +292,7 @@ class ControlLoop:
             elapsed = self.command.preview_elapsed() if ahead is not None else np.nan
             self._publish_tick(RecordedTick(
                 stamp_ns, self.now, kind, self.obstacles.read_count, self.command.previews,
-                elapsed, self.attached.read_count, twist, posture).numbers())
+                elapsed, self.attached.read_count, twist, posture, target).numbers())
 
     def _read_obstacles(self) -> bool:
         """Read messages on obstacles and attached that wait; return whether there were any."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import time
 from typing import Any
 
-from geometry_msgs.msg import Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
@@ -50,6 +50,8 @@ _LOOK_AROUND = 0.5
 _CONFIGURATION_PAUSE = 0.25
 # Period of /diagnostics and of ~/markers [s].
 _REPORT_PERIOD = 0.2
+# Period of ~/target while there is a target [s].
+_PROGRESS_PERIOD = 0.05
 
 
 class PlannerNode(EndableNode):
@@ -112,13 +114,13 @@ class PlannerNode(EndableNode):
         """Return the loop with its inputs and its output."""
         robot, settings, clock = planner.robot, self._settings.node, loop_clock(self)
         period = 1.0 / settings.rate
+        transform = transform_lookup(self, robot.base_frame)
         tracker = ObstacleTracker(
-            self._settings.obstacles(), sorted({robot.base_frame, ''}),
-            transform=transform_lookup(self, robot.base_frame),
+            self._settings.obstacles(), sorted({robot.base_frame, ''}), transform=transform,
             estimate_velocity=settings.estimate_obstacle_velocity)
         command = CommandInput(
             {robot.base_frame: 'base', robot.tip_frame: 'tool'}, robot.command_frame, clock.now,
-            clock.ros_time, self._warn)
+            clock.ros_time, self._warn, transform)
         command.timeout = settings.incoming_command_timeout
         # Latched: a recorder that comes late still gets the beginning.
         history = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -139,7 +141,10 @@ class PlannerNode(EndableNode):
         loop.inboxes = [
             (PolledSubscription(self, JointState, 'joint_states'), loop.on_joint_states),
             (PolledSubscription(self, TwistStamped if stamped else Twist, 'cmd_vel'),
-             loop.command.on_twist_stamped if stamped else loop.command.on_twist)]
+             loop.command.on_twist_stamped if stamped else loop.command.on_twist),
+            # Sent once and meant to be heard, unlike a stream of twists.
+            (PolledSubscription(self, PoseStamped, 'target_pose', QoSProfile(depth=10)),
+             loop.on_target)]
         self.create_subscription(
             MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)
         self.create_subscription(
@@ -168,6 +173,7 @@ class PlannerNode(EndableNode):
         self._chores.add(_CONFIGURATION_PAUSE, reports.publish_configuration)
         self._chores.add(_REPORT_PERIOD, reports.publish_diagnostics)
         self._chores.add(_REPORT_PERIOD, reports.publish_markers)
+        self._chores.add(_PROGRESS_PERIOD, reports.publish_progress)
         return reports
 
     def _run(self, loop: ControlLoop) -> None:

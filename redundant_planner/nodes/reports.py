@@ -1,4 +1,4 @@
-"""What planner_node publishes about itself: /diagnostics, ~/markers, ~/configuration."""
+"""What planner_node publishes about itself: /diagnostics, ~/target, ~/markers, ~/configuration."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.robot_markers import RobotMarkers
 from redundant_planner.nodes.settings import Settings
-from redundant_planner.nodes.state_report import diagnostics, status_of
+from redundant_planner.nodes.state_report import diagnostics, progress_status, status_of
 
 
 class Reports:
@@ -38,6 +38,8 @@ class Reports:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._configuration = node.create_publisher(String, '~/configuration', latched)
         self._published: Settings | None = None
+        self._target = node.create_publisher(DiagnosticArray, '~/target', latched)
+        self._had_target = False
 
     def publish_configuration(self) -> None:
         """Publish all parameters if they have changed, so that a bag explains itself."""
@@ -61,6 +63,19 @@ class Reports:
             len(loop.obstacles.scene.names), loop.held)
         self._diagnostics.publish(diagnostics(status, self._node.get_clock().now().to_msg()))
         state.tick_times.clear()
+
+    def publish_progress(self) -> None:
+        """Publish how far the arm has come to its target, and once that it has none any more."""
+        result, progress = self._loop.state.result, None
+        if result is not None and self._loop.command.has_target:
+            progress = result.progress
+        if progress is None and not self._had_target:
+            return
+        self._had_target = progress is not None
+        self._target.publish(diagnostics(
+            progress_status(self._node.get_fully_qualified_name(), progress,
+                            result.reason if result is not None else ''),
+            self._node.get_clock().now().to_msg()))
 
     def publish_markers(self) -> None:
         """Publish the planner's view of the world, if somebody listens."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.step_result import Nearest, StepResult
+from redundant_planner.core.target.progress import Progress, TargetState
 
 Array = npt.NDArray[np.float64]
 
@@ -108,6 +109,30 @@ def status_of(
         least = int(room.argmin())
         values['smallest limit margin'] = f'{room[least]:.4f} ({robot.joint_names[least]})'
     status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return status
+
+
+def progress_status(name: str, progress: Progress | None, reason: str) -> DiagnosticStatus:
+    """Return the entry of ~/target.
+
+    Args:
+        name: of the node.
+        progress: to the target, None without one.
+        reason: what holds the arm back, if anything.
+    """
+    status = DiagnosticStatus(name=f'{name}: target', message='no target')
+    if progress is None:
+        return status
+    stopped = progress.state in (TargetState.BLOCKED, TargetState.OUT_OF_REACH)
+    status.level = DiagnosticStatus.WARN if stopped else DiagnosticStatus.OK
+    status.message = progress.state.value
+    status.values = [KeyValue(key=key, value=value) for key, value in {
+        'distance [m]': f'{progress.distance:.6f}',
+        'angle [rad]': f'{progress.angle:.6f}',
+        'expected time [s]': f'{progress.seconds:.3f}',
+        'ends off by [m, rad]': f'{progress.miss:.4f}',
+        'limited by': reason,
+    }.items()]
     return status
 
 

@@ -86,12 +86,14 @@ class PaperPlanner:
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
+        target: Pose | None = None,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`: q̇ = J⁺ẋ + k P∇H (Eq. 1).
 
         Args:
             q, twist, scene, dt: as for `Planner.step`.
             ahead: not looked at.
+            target: the paper has none; must be None.
 
         Raises:
             StateError: as for `Planner.step`.

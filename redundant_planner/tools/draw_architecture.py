@@ -37,6 +37,7 @@ _HOLDS = {
     'simulation.py': 'planner and ideal arm',
     'io': 'messages, bags, robot files',
     'core': 'Planner.step, the composition',
+    'core/target': 'the way to a pose',
     'core/horizon': 'the joint path ahead',
     'core/safety': 'limits, braking, the QP',
     'core/obstacles': 'shapes, clearance, evasion',
@@ -48,7 +49,8 @@ _PLACES = {
     'tools': (1.5, 6.9), 'nodes': (0.15, 6.0), 'paper': (2.85, 5.6),
     'analysis': (1.5, 5.1), 'perception': (0.15, 5.1),
     'physics': (2.85, 4.85), 'simulation.py': (2.0, 4.2), 'io': (0.85, 4.2),
-    'core': (1.5, 3.0), 'core/horizon': (0.85, 2.1), 'core/safety': (2.85, 2.1),
+    'core': (1.5, 3.0), 'core/target': (0.1, 2.7), 'core/horizon': (0.85, 2.1),
+    'core/safety': (2.85, 2.1),
     'core/obstacles': (0.15, 1.2), 'core/redundancy': (1.7, 1.2), 'core/robot': (0.85, 0.3),
 }
 # Around the rooms of the core: left, lower edge, width, height.

@@ -132,7 +132,8 @@ def _rows(
                 planner.reset()
                 q = tick.q
             book.expire(tick.time)
-            dq = planner.step(q, tick.twist, book.scene, dt, _ahead(inputs, tick)).dq
+            dq = planner.step(
+                q, tick.twist, book.scene, dt, _ahead(inputs, tick), tick.target).dq
             stop.moving(dq)
         positions[i], velocities[i] = q, dq
         q, previous = q + dt * dq, tick.time
@@ -178,7 +179,8 @@ def write_replay(path: Path, inputs: Inputs, replay: Replay, origin_ns: int, tex
              'configuration': 'std_msgs/msg/String',
              'robot_description': 'std_msgs/msg/String',
              'obstacles': 'visualization_msgs/msg/MarkerArray',
-             'attached': 'visualization_msgs/msg/MarkerArray'}
+             'attached': 'visualization_msgs/msg/MarkerArray',
+             'target_pose': 'geometry_msgs/msg/PoseStamped'}
     with BagWriter(path) as bag:
         for topic, kind in kinds.items():
             bag.add_topic(f'/{topic}', kind)

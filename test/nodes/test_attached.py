@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from rcl_interfaces.msg import Log
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
+from topic_recorder import TopicRecorder
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.analysis.bag_analysis import analyse
@@ -20,7 +20,6 @@ from redundant_planner.analysis.replay_inputs import read_inputs
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.io.bag_reader import open_bag
-from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.parameter_files import settings_of
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.tools.replay_bag import again, differences, main as replay_bag
@@ -38,32 +37,11 @@ TOPICS = {
     'planner_node/ticks': Float64MultiArray}
 
 
-class Recorder:
-    """Keeps what comes on the planner's topics, and writes a bag of it."""
-
-    def __init__(self, ros):
-        self.messages = []
-        latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        for topic, kind in TOPICS.items():
-            ros.node.create_subscription(
-                kind, topic, lambda raw, topic=topic: self.messages.append(
-                    (topic, ros.node.get_clock().now().nanoseconds, raw)),
-                latched if topic.startswith('planner_node') else 1000, raw=True)
-
-    def write(self, path):
-        with BagWriter(path) as bag:
-            for topic, kind in TOPICS.items():
-                package = kind.__module__.split('.')[0]
-                bag.add_topic(f'/{topic}', f'{package}/msg/{kind.__name__}')
-            for topic, at, raw in self.messages:
-                bag.write(f'/{topic}', at, raw)
-
-
 @pytest.fixture
 def ros():
     with station() as (ros, processes):
         ros.attached = ros.node.create_publisher(MarkerArray, 'attached', 10)
-        ros.recorder = Recorder(ros)
+        ros.recorder = TopicRecorder(ros, TOPICS)
         processes.start('fake_hardware_node', FILE, ARM_VALUES)
         ros.planner = processes.start('planner_node', FILE, {
             'publish_ticks': True, 'allowed_contacts': ['attached/rod:shelf']})

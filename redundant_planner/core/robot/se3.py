@@ -12,12 +12,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.errors import shown, StateError
 from redundant_planner.core.kernels import compiled, kernel, Matrix, Vector
 
 Array = npt.NDArray[np.float64]
 
 # Below this the series is exact to round-off [rad].
 _SMALL_ANGLE = 1e-4
+# How far R Rᵀ of a rotation matrix may be from the identity.
+_NO_ROTATION = 1e-6
 
 
 class Pose(NamedTuple):
@@ -30,6 +33,28 @@ class Pose(NamedTuple):
 
     position: Vector
     rotation: Matrix
+
+
+def checked_pose(pose: Pose) -> Pose:
+    """Return a pose as arrays of numbers.
+
+    Raises:
+        StateError: the position is not three finite numbers, or the rotation no rotation matrix.
+    """
+    try:
+        position = np.asarray(pose.position, dtype=float)
+        rotation = np.asarray(pose.rotation, dtype=float)
+    except (TypeError, ValueError):
+        raise StateError(f'the pose is {shown(pose)}; it takes numbers') from None
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise StateError(f'the position of the pose is {shown(position)}; it takes three finite '
+                         'numbers [m]')
+    if rotation.shape != (3, 3) or not (
+            np.abs(rotation @ rotation.T - np.eye(3)) < _NO_ROTATION).all() or (
+            np.linalg.det(rotation) < 0.0):
+        raise StateError(f'the rotation of the pose is {shown(rotation)}; it takes a rotation '
+                         'matrix (3, 3)')
+    return Pose(position, rotation)
 
 
 @kernel
@@ -128,6 +153,11 @@ def integrate(pose: Pose, twist: Vector, dt: float, in_tool: bool) -> Pose:
     sideways = _cross(w, v)
     moved = v + first * sideways + second * _cross(w, sideways)
     return Pose(pose.position + _turned(pose.rotation, moved), _product(pose.rotation, turn))
+
+
+def composed(outer: Pose, inner: Pose) -> Pose:
+    """Return a pose that is given relative to another one, in the frame of that one."""
+    return Pose(outer.position + outer.rotation @ inner.position, outer.rotation @ inner.rotation)
 
 
 def turned(twist: Array, rotation: Array) -> Array:

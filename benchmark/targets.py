@@ -1,0 +1,220 @@
+"""Random poses to go to among obstacles: `python -m benchmark.targets --help`.
+
+Start and goal are postures that are free at the margin; the obstacles lie anywhere else. The tip
+goes along a line, so many goals are behind something: how many, depends on the obstacles alone.
+What counts is that nothing is touched, that no limit is exceeded, and how long a way takes that is
+free, over the least time that the joints' limits leave for the same joint path.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+import json
+from multiprocessing import Pool
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from benchmark.bodies import capsules_of
+from benchmark.closest_approach import Motion
+from benchmark.judge import limit_violation
+from benchmark.scenarios import make_robot
+from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.self_collision import link_distances
+from redundant_planner.core.parameters import METHODS, PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.progress import TargetState
+
+Array = npt.NDArray[np.float64]
+
+DT = 0.004
+_LONGEST = 10.0  # [s]
+# Start and goal keep this from obstacles and between links [m], and from joint limits [rad].
+_CLEAR, _LIMIT_DISTANCE = 0.03, 0.1
+_LOWEST = 0.1  # the tip [m]
+_OBSTACLES, _SIZES, _REACH = 4, (0.03, 0.1), 0.8  # count, half extents [m], from the base [m]
+_ENDS = (TargetState.REACHED, TargetState.BLOCKED, TargetState.OUT_OF_REACH)
+# Samples of a joint path, and over how many of them its direction is averaged.
+_SAMPLES, _AVERAGED = 400, 15
+
+
+class Problem(NamedTuple):
+    """A pose to go to: postures (n,) of start and goal, and the obstacles."""
+
+    start: Array
+    goal: Array
+    obstacles: tuple[Obstacle, ...]
+
+
+class Outcome(NamedTuple):
+    """What a run came to.
+
+    Attributes:
+        seed: of the problem.
+        state: at its end.
+        distance, angle: of the tip from the target at the end [m, rad].
+        clearance: smallest distance of a link to an obstacle or another link [m].
+        violation: see `limit_violation`.
+        seconds: until the target was reached [s].
+        fastest: the least that the joints' limits leave for the same joint path [s].
+    """
+
+    seed: int
+    state: str
+    distance: float
+    angle: float
+    clearance: float
+    violation: float
+    seconds: float
+    fastest: float
+
+
+def problem_of(robot: Robot, seed: int) -> Problem:
+    """Return a random problem."""
+    random = np.random.default_rng(seed)
+    radii = np.array([capsule.radius for capsule in robot.capsules])
+
+    def posture() -> Array:
+        while True:
+            q = random.uniform(robot.position_min + _LIMIT_DISTANCE,
+                               robot.position_max - _LIMIT_DISTANCE)
+            arm = robot.kinematics(q)
+            apart = link_distances(arm.segment_start, arm.segment_end, radii, robot.self_pairs)
+            if apart.distance.min() > _CLEAR and arm.tip_position[2] > _LOWEST:
+                return np.asarray(q)
+
+    start, goal = posture(), posture()
+    obstacles: list[Obstacle] = []
+    while len(obstacles) < _OBSTACLES:
+        center = random.uniform(-_REACH, _REACH, 3) + (0.0, 0.0, 0.4)
+        half = random.uniform(*_SIZES, 3)
+        name = str(len(obstacles))
+        obstacle = (Obstacle(name, center, half) if len(obstacles) % 2 else
+                    Obstacle.box(name, center, 2.0 * half))
+        if all(_distance(robot, q, obstacle) > _CLEAR for q in (start, goal)):
+            obstacles.append(obstacle)
+    return Problem(start, goal, tuple(obstacles))
+
+
+def _distance(robot: Robot, q: Array, obstacle: Obstacle) -> float:
+    arm = robot.kinematics(q)
+    maps = inflated_obstacles(Scene.of([obstacle]), [c.radius for c in robot.capsules])
+    return float(link_clearance(maps, arm.segment_start, arm.segment_end).distance.min())
+
+
+def run(robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int) -> Outcome:
+    """Go to the goal's tip pose until it is reached, or until the arm is stuck."""
+    planner, scene = Planner(robot, parameters), Scene.of(problem.obstacles)
+    arm = robot.kinematics(problem.goal)
+    target = Pose(arm.tip_position, arm.tip_rotation)
+    q, positions, velocities = problem.start, [problem.start], []
+    still = np.zeros(6)
+    for _ in range(round(_LONGEST / DT)):
+        result = planner.step(q, still, scene, DT, target=target)
+        q = q + DT * result.dq
+        positions.append(q)
+        velocities.append(result.dq)
+        assert result.progress is not None
+        if result.progress.state is not TargetState.MOVING:
+            break
+    motion = Motion.through(capsules_of(robot), np.array(positions))
+    clearance = min(motion.to_obstacles(problem.obstacles, DT).distance,
+                    motion.to_itself().distance)
+    progress = result.progress
+    return Outcome(
+        seed, progress.state.value, progress.distance, progress.angle, clearance,
+        limit_violation(robot, np.array(positions), np.array(velocities), DT),
+        DT * len(velocities), fastest_time(robot, np.array(positions), parameters))
+
+
+def fastest_time(
+    robot: Robot, positions: Array, parameters: PlannerParameters,
+) -> float:
+    """Return the least time for a joint path (k, n) from rest to rest [s].
+
+    By the phase plane over its length, with the limits of velocity and acceleration (Bobrow et al.
+    1985) and those of the tip's speed. Jerk limits make every motion longer by 2 a / j.
+    """
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    moving = np.concatenate(([True], steps > 1e-9))
+    along = np.concatenate(([0.0], np.cumsum(steps)))[moving]
+    if along[-1] < 1e-6:
+        return 0.0
+    s = np.linspace(0.0, along[-1], _SAMPLES)
+    averaged = np.ones(_AVERAGED) / _AVERAGED
+    path = np.array([np.interp(s, along, column) for column in positions[moving].T]).T
+    direction = np.array([np.convolve(np.gradient(column, s[1]), averaged, 'valid')
+                          for column in path.T]).T
+    trim = _AVERAGED // 2
+    twists = np.array([robot.kinematics(q).tip_jacobian @ dq
+                       for q, dq in zip(path[trim:-trim], direction)])
+    length = np.maximum(np.abs(direction), 1e-9)
+    speed = (robot.velocity_max / length).min(axis=1)
+    for part, limit in ((twists[:, :3], parameters.limits_linear_speed),
+                        (twists[:, 3:], parameters.limits_angular_speed)):
+        speed = np.minimum(speed, limit / np.maximum(np.linalg.norm(part, axis=1), 1e-9))
+    rise = (robot.acceleration_max / length).min(axis=1)
+    ds = along[-1] / (len(speed) - 1)
+    speed[0] = speed[-1] = 0.0
+    for i in range(1, len(speed)):
+        speed[i] = min(speed[i], np.sqrt(speed[i - 1] ** 2 + 2.0 * rise[i] * ds))
+    for i in reversed(range(len(speed) - 1)):
+        speed[i] = min(speed[i], np.sqrt(speed[i + 1] ** 2 + 2.0 * rise[i] * ds))
+    jerk = 2.0 * float((robot.acceleration_max / robot.jerk_max).max())
+    return float((2.0 * ds / (speed[1:] + speed[:-1])).sum()) + jerk
+
+
+def _job(job: tuple[int, str]) -> Outcome:
+    seed, method = job
+    robot = make_robot('panda', 6)
+    return run(robot, problem_of(robot, seed), PlannerParameters(method=method), seed)
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(prog='benchmark.targets', description=__doc__)
+    parser.add_argument('--count', type=int, default=200)
+    parser.add_argument('--seed', type=int, default=0, help='first seed')
+    parser.add_argument('--jobs', type=int, default=2, help='processes')
+    parser.add_argument('--json', type=Path, help='file for every outcome')
+    options = parser.parse_args()
+    methods = [name for name in METHODS if name != 'gradient_projection']
+    console, outcomes = Console(), {}
+    with Pool(options.jobs) as pool:
+        for method in methods:
+            jobs = [(options.seed + i, method) for i in range(options.count)]
+            outcomes[method] = list(track(
+                pool.imap(_job, jobs), method, len(jobs), console=Console(stderr=True)))
+    table = Table(title=f'{options.count} poses from seed {options.seed}, in a line')
+    for heading in ('method', 'reached', 'blocked', 'out of reach', 'contacts', 'violations',
+                    'off [mm]', 'off [deg]', 'time', '90 %'):
+        table.add_column(heading)
+    for method, found in outcomes.items():
+        reached = [o for o in found if o.state == TargetState.REACHED.value]
+        ratios = [o.seconds / o.fastest for o in reached] or [np.nan]
+        table.add_row(
+            method, *(str(Counter(o.state for o in found)[state.value]) for state in _ENDS),
+            str(sum(o.clearance < 0.0 for o in found)),
+            str(sum(o.violation > 0.0 for o in found)),
+            f'{1e3 * max((o.distance for o in reached), default=np.nan):.2f}',
+            f'{np.degrees(max((o.angle for o in reached), default=np.nan)):.3f}',
+            f'{np.median(ratios):.3f}', f'{np.percentile(ratios, 90):.3f}')
+    console.print(table)
+    if options.json is not None:
+        options.json.write_text(json.dumps(
+            {method: [o._asdict() for o in found] for method, found in outcomes.items()}))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,1 @@
+"""A pose to go to: the way there, and how fast."""

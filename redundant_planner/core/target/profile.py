@@ -1,0 +1,109 @@
+"""How fast the tip may be where on its way, so that the joints can still brake in time.
+
+A way is measured by the time s that the tip takes for the rest of it at its highest speed. On it
+the tip moves at a share f of that speed: ds/dt = −f. A posture q(s) on the way then has the joint
+velocities −f q'(s), and the accelerations q'' f² − q' df/dt. Limits of the joints bound f and its
+rate of change (the phase plane of Bobrow, Dubowsky and Gibson 1985), backwards from the end, where
+f is 0.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+# Shares of the acceleration limits: for braking along the way, and for its bends. The rest is for
+# motion in the null space, and for what the postures on the way are wrong by.
+_BRAKING, _BENDING = 0.8, 0.5
+# Joints that move no more than this per second at full speed do not count [rad/s, m/s].
+_LEAST_RATE = 1e-9
+
+
+class Profile(NamedTuple):
+    """Speed along a way.
+
+    Attributes:
+        left: (K + 1,) what is left of the way at its nodes, descending to 0 [s].
+        speed: (K + 1,) the highest share f of full speed there.
+        fastest: (K,) between them.
+        braking: (K,) how fast f may change between them [1/s].
+    """
+
+    left: Array
+    speed: Array
+    fastest: Array
+    braking: Array
+
+    def braking_at(self, left: float) -> float:
+        """Return how fast f may change where so much is left [1/s]."""
+        return float(self.braking[self._segment(left)])
+
+    def speeding_at(self, left: float) -> float:
+        """Return how fast f may rise where so much is left [1/s]: nothing is lost if it cannot."""
+        return self.braking_at(left) / _BRAKING
+
+    def speed_at(self, left: float, dt: float) -> float:
+        """Return the highest f for the next dt, where so much is left [s].
+
+        In a tick f is constant. From f on, ticks that each lose `braking` dt end a way of
+        f²/(2 braking) + f dt/2 at rest.
+        """
+        i = self._segment(left)
+        braking = float(self.braking[i])
+        room = max(left - self.left[i + 1], 0.0) + self.speed[i + 1] ** 2 / (2.0 * braking)
+        step = braking * dt
+        f = step * (math.sqrt(0.25 + 2.0 * room * braking / step**2) - 0.5)
+        return min(f, float(self.fastest[i]), left / dt)
+
+    def times(self, speed: float) -> tuple[Array, Array]:
+        """Return when the tip is at the nodes (K + 1,) [s], and its f there.
+
+        Args:
+            speed: f at the first node.
+        """
+        f = np.minimum(self.speed, math.inf)
+        f[0] = speed
+        spans = -np.diff(self.left)
+        for i, span in enumerate(spans):
+            f[i + 1] = min(f[i + 1], math.sqrt(f[i] ** 2 + 2.0 * self.braking[i] * span))
+        # From rest to rest within one stretch the tip accelerates and brakes.
+        mean = 0.5 * (f[:-1] + f[1:])
+        slow = np.sqrt(spans * self.braking / 4.0)
+        return np.concatenate((np.zeros(1), np.cumsum(spans / np.maximum(mean, slow)))), f
+
+    def _segment(self, left: float) -> int:
+        """Return the stretch between two nodes where so much is left."""
+        count = len(self.braking)
+        return min(max(int((1.0 - left / self.left[0]) * count), 0), count - 1)
+
+
+def profile_of(
+    postures: Array, length: float, velocity_max: Array, acceleration_max: Array,
+) -> Profile:
+    """Return how fast the tip may be along a way.
+
+    Args:
+        postures: (K + 1, n) at nodes with equal pieces of the way between them [rad, m].
+        length: of the way, positive [s].
+        velocity_max, acceleration_max: (n,) of the joints.
+    """
+    count = len(postures) - 1
+    left = np.linspace(length, 0.0, count + 1)
+    rates = np.maximum(np.abs(np.diff(postures, axis=0)) * (count / length), _LEAST_RATE)
+    fastest = np.minimum((velocity_max / rates).min(axis=1), 1.0)
+    braking = _BRAKING * (acceleration_max / rates).min(axis=1)
+    bends = np.maximum(np.abs(np.diff(postures, 2, axis=0)) * (count / length) ** 2, _LEAST_RATE)
+    speed = np.ones(count + 1)
+    speed[1:-1] = np.sqrt(_BENDING * (acceleration_max / bends).min(axis=1))
+    speed[:-1] = np.minimum(speed[:-1], fastest)
+    speed[1:] = np.minimum(speed[1:], fastest)
+    speed[-1] = 0.0
+    for i in reversed(range(count)):
+        speed[i] = min(speed[i], math.sqrt(
+            speed[i + 1] ** 2 + 2.0 * braking[i] * (left[i] - left[i + 1])))
+    return Profile(left, speed, fastest, braking)

@@ -1,0 +1,243 @@
+"""To a target along a straight line and about one axis.
+
+Each tick aims from where the tip should be now at the target: position and orientation arrive
+together. The twist changes no faster than the joints can follow, and a target that moves while the
+arm is on its way is taken up from the present speed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
+from redundant_planner.core.horizon.poses_ahead import Poses
+from redundant_planner.core.horizon.preview import Preview, PreviewAhead
+from redundant_planner.core.redundancy.reference import Start
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.target.moving_target import MovingTarget
+from redundant_planner.core.target.profile import Profile, profile_of
+from redundant_planner.core.target.progress import Progress, TargetState
+
+Array = npt.NDArray[np.float64]
+
+# Nodes of the way at which the joints are looked at, and how often that is done again [s].
+_NODES = 12
+_REFRESH = 0.1
+# Another target has the joints looked at again at once if it changes the way by more than this
+# share of its length.
+_NEWS = 0.1
+# Steps that a posture takes to settle at the target, and how near it has to come [m, rad].
+_SETTLING = 20
+_OUT_OF_REACH = 5e-3
+# A target that moves is followed while it is no further ahead than this [s at full speed].
+_CLOSE_BEHIND = 0.05
+# In what time the tip makes good what it is behind a target that moves [s].
+_CLOSING_TIME = 0.08
+# A way shorter than this is over [s at full speed].
+_OVER = 1e-7
+# A tip is at its target this near to it [m, rad].
+_REACHED = 2e-4
+# An arm is blocked whose way has become shorter by less than this share of full speed for this
+# long [s].
+_LEAST_SPEED, _PATIENCE = 0.01, 0.5
+# A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
+_STANDSTILL = 1e-12
+
+
+class _Looked(NamedTuple):
+    """What a look along the way has found.
+
+    Attributes:
+        profile: how fast the tip may be.
+        target: that the way led to.
+        preview: the twists, from full stop or the speed of then.
+        times: (K + 1,) when the tip is at the profile's nodes [s].
+        miss: how near the arm gets to the target [m, rad].
+    """
+
+    profile: Profile
+    target: Pose
+    preview: Preview
+    times: Array
+    miss: float
+
+
+class StraightWay:
+    """The way of one arm to its target.
+
+    Attributes:
+        left: what is left of the way [s at full speed].
+    """
+
+    def __init__(
+        self, robot: Robot, limits: Limits, joints: PathJoints, linear_max: float,
+        angular_max: float,
+    ) -> None:
+        """Prepare for an arm.
+
+        Args:
+            robot: the arm.
+            limits: of its joints.
+            joints: how they are weighed and bounded.
+            linear_max, angular_max: the tip's highest speeds [m/s, rad/s].
+        """
+        self._robot, self._limits, self._joints = robot, limits, joints
+        self._full = np.repeat((max(linear_max, _STANDSTILL), max(angular_max, _STANDSTILL)), 3)
+        self._controlled = robot.full_twist(np.ones(robot.m))
+        self._target = MovingTarget()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the way."""
+        self.left = self._seconds = 0.0
+        self._target.reset()
+        self._looked: _Looked | None = None
+        self._age = 0.0
+        self._left_then = math.inf  # when the arm last got on
+        self._stuck = 0.0  # for so long since then [s]
+
+    def command(
+        self, start: Start, target: Pose, followed: Array, delay: float,
+    ) -> tuple[Array, PreviewAhead | None]:
+        """Return the twist (6,) for this tick in command axes, and those ahead.
+
+        Args:
+            start: of the tick.
+            target: in the base frame.
+            followed: (6,) the twist of the last tick as far as it was followed, in command axes.
+            delay: of the commands behind what is planned [s].
+        """
+        target = self._target.at(target, start.dt)
+        if self._target.moving:
+            target = se3.integrate(target, self._target.velocity, delay, False)
+        # Base axes: a line is straight there.
+        away = self._part(se3.pose_error(target, start.reference, False), start.reference)
+        velocity = self._part(self._target.velocity, start.reference)
+        self.left = self._length(away)
+        self._note_how_it_gets_on(start.dt)
+        if self.left < _OVER and not self._target.moving:
+            self._looked, self._seconds = None, 0.0
+            return np.zeros(6), None
+        self._age += start.dt
+        now = self._in_base_axes(followed, start.reference)
+        looked = self._look(start, target, away, now)
+        profile = looked.profile
+        f = profile.speed_at(min(self.left, profile.left[0]), start.dt)
+        closing = f / max(self.left, _OVER)
+        if self._target.moving:
+            closing = min(closing, 1.0 / _CLOSING_TIME)
+        wanted = velocity + closing * away
+        if self._target.moving:
+            wanted = now + (1.0 - math.exp(-4.0 * start.dt / _CLOSING_TIME)) * (wanted - now)
+        twist = self._limited(wanted, now, profile.speeding_at(self.left), start.dt)
+        # In command axes that turn with the tip: those of the middle of the tick.
+        middle = se3.displaced(
+            start.reference, np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
+        twist = self._in_command_axes(twist, middle)
+        if self._target.moving:
+            return twist, None
+        elapsed = float(np.interp(-self.left, -profile.left, looked.times))
+        self._seconds = float(looked.times[-1]) - elapsed
+        return twist, looked.preview.ahead(elapsed)
+
+    def progress(self, target: Pose, tip: Pose) -> Progress:
+        """Return how far the tip has come."""
+        away = self._in_command_axes(se3.pose_error(target, tip, False), tip) * self._controlled
+        distance, angle = math.sqrt(away[:3] @ away[:3]), math.sqrt(away[3:] @ away[3:])
+        miss = 0.0 if self._looked is None else self._looked.miss
+        miss = miss if miss > _OUT_OF_REACH else 0.0
+        state = TargetState.MOVING
+        if max(distance, angle) < _REACHED:
+            state = TargetState.REACHED
+        elif self._stuck >= _PATIENCE:
+            state = TargetState.OUT_OF_REACH if miss else TargetState.BLOCKED
+        return Progress(state, distance, angle, self._seconds, miss)
+
+    def _note_how_it_gets_on(self, dt: float) -> None:
+        """Note for how long the way has not become shorter."""
+        follows = self._target.moving and self.left < _CLOSE_BEHIND
+        if follows or abs(self._left_then - self.left) > _LEAST_SPEED * _PATIENCE:
+            self._left_then, self._stuck = self.left, 0.0
+        else:
+            self._stuck += dt
+
+    def _part(self, displacement: Array, tip: Pose) -> Array:
+        """Return the part (6,) of a displacement or twist that is controlled, in base axes."""
+        if self._controlled.all():
+            return displacement
+        return self._in_base_axes(
+            self._in_command_axes(displacement, tip) * self._controlled, tip)
+
+    def _length(self, away: Array) -> float:
+        """Return how long a displacement (6,) takes at full speed [s]."""
+        share = away / self._full
+        return max(math.sqrt(share[:3] @ share[:3]), math.sqrt(share[3:] @ share[3:]))
+
+    def _limited(self, twist: Array, before: Array, braking: float, dt: float) -> Array:
+        """Return the twist that is nearest to the wanted one and no leap from the one before."""
+        leap = self._length(twist - before)
+        if leap <= braking * dt or leap == 0.0:
+            return twist
+        return before + braking * dt / leap * (twist - before)
+
+    def _look(self, start: Start, target: Pose, away: Array, now: Array) -> _Looked:
+        """Look along the way, if that is due."""
+        looked = self._looked
+        if looked is not None and self._age < _REFRESH:
+            moved = self._length(se3.pose_error(target, looked.target, False))
+            if self._target.moving or moved <= _NEWS * self.left:
+                return looked
+        self._age = 0.0
+        robot, reference = self._robot, start.reference
+        shares = np.linspace(0.0, 1.0, _NODES + 1)[1:]
+        ways = [se3.displaced(reference, share * away, False) for share in shares]
+        poses = Poses(np.array([pose.position for pose in ways]),
+                      np.array([pose.rotation for pose in ways]))
+        q = start.arm.q
+        nodes = least_norm_path(robot, q, poses, self._joints)
+        profile = profile_of(
+            np.vstack((q, nodes)), max(self.left, _OVER), self._limits.velocity_max,
+            self._limits.acceleration_max)
+        along = float(now @ away) / max(float(away @ away), _STANDSTILL) * self.left
+        times, f = profile.times(min(max(along, 0.0), 1.0))
+        twists = np.array([self._in_command_axes(speed / max(self.left, _OVER) * away, pose)
+                           for speed, pose in zip(f, (reference, *ways))])
+        self._looked = _Looked(profile, target, Preview(times, twists), times,
+                               self._miss(nodes, ways[-1]))
+        return self._looked
+
+    def _miss(self, nodes: Array, target: Pose) -> float:
+        """Return how near a way (K, n), or what settles from its end, comes to a target."""
+        due = Poses(target.position[None], target.rotation[None])
+        nearest, q = self._apart(nodes[-1], target), nodes[-1]
+        if nearest < _OUT_OF_REACH:
+            return nearest
+        nearest = min(self._apart(node, target) for node in nodes)
+        for _ in range(_SETTLING):
+            q = least_norm_path(self._robot, q, due, self._joints)[0]
+            nearest = min(nearest, self._apart(q, target))
+            if nearest < _OUT_OF_REACH:
+                break
+        return nearest
+
+    def _apart(self, q: Array, target: Pose) -> float:
+        """Return how far the tip is from a target at a posture (n,) [m, rad]."""
+        arm = self._robot.kinematics(q)
+        away = self._in_command_axes(se3.pose_error(
+            target, Pose(arm.tip_position, arm.tip_rotation), False), target)
+        return float(np.abs(away * self._controlled).max())
+
+    def _in_command_axes(self, twist: Array, tip: Pose) -> Array:
+        """Return a twist (6,) in base axes in those of commands."""
+        return se3.turned(twist, tip.rotation.T) if self._robot.in_tool else twist
+
+    def _in_base_axes(self, twist: Array, tip: Pose) -> Array:
+        """Return a twist (6,) in axes of commands in the base's."""
+        return se3.turned(twist, tip.rotation) if self._robot.in_tool else twist

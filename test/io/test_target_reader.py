@@ -1,0 +1,61 @@
+"""A serialised PoseStamped: read as rclpy reads it after any header; all else is refused."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import PoseStamped
+from hypothesis import given, strategies as st
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+
+from redundant_planner.core.errors import StateError
+from redundant_planner.io.target_reader import read_target
+
+
+def message(frame='base_link', position=(0.1, -0.2, 0.3), quaternion=(0.0, 0.0, 0.6, 0.8)):
+    found = PoseStamped()
+    found.header.frame_id = frame
+    found.header.stamp.sec, found.header.stamp.nanosec = 12, 500_000_000
+    p, o = found.pose.position, found.pose.orientation
+    p.x, p.y, p.z = position
+    o.x, o.y, o.z, o.w = quaternion
+    return bytes(serialize_message(found))
+
+
+@given(st.text('abcü/_', max_size=30))
+def test_it_reads_stamp_frame_and_pose_after_any_frame(frame):
+    stamp, name, pose = read_target(message(frame))
+    assert (stamp, name) == (12.5, frame)
+    np.testing.assert_allclose(pose.position, (0.1, -0.2, 0.3))
+    np.testing.assert_allclose(
+        pose.rotation, [[0.28, -0.96, 0.0], [0.96, 0.28, 0.0], [0.0, 0.0, 1.0]], atol=1e-12)
+
+
+def test_a_quaternion_that_is_nearly_of_length_1_is_made_so():
+    pose = read_target(message(quaternion=(0.0, 0.0, 0.6003, 0.8)))[2]
+    np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize(('change', 'what'), [
+    ({'position': (np.nan, 0.0, 0.0)}, 'position'), ({'position': (0.0, 2e3, 0.0)}, '1000 m'),
+    ({'quaternion': (0.0, 0.0, 0.0, 0.0)}, 'length 0'),
+    ({'quaternion': (0.0, 0.0, 0.0, 2.0)}, 'length 2'),
+    ({'quaternion': (np.inf, 0.0, 0.0, 0.0)}, 'quaternion')])
+def test_what_is_no_pose_is_refused(change, what):
+    with pytest.raises(StateError, match=what):
+        read_target(message(**change))
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_refused_or_read(raw):
+    try:
+        pose = read_target(raw)[2]
+    except StateError:
+        return
+    np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-9)
+
+
+@given(st.integers(0, len(message()) - 1))
+def test_every_shorter_message_is_refused(length):
+    with pytest.raises(StateError):
+        read_target(message()[:length])

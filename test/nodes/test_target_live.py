@@ -1,0 +1,133 @@
+"""A pose to go to, with real processes: there, away from there, and the bag that replays it."""
+
+from __future__ import annotations
+
+from conftest import make_panda, PANDA_READY, PANDA_URDF, ROBOTS
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, Twist
+from live_helpers import LIVE, station
+import numpy as np
+import pinocchio as pin
+import pytest
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+from topic_recorder import TopicRecorder
+
+from redundant_planner.analysis.replay_inputs import read_inputs
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.io.bag_reader import open_bag
+from redundant_planner.io.parameter_files import settings_of
+from redundant_planner.tools.replay_bag import again, differences, main as replay_bag
+
+pytestmark = LIVE
+
+ROBOT = make_panda()
+NAMES = list(ROBOT.joint_names)
+ARM = {'urdf': PANDA_URDF, 'initial_joints': NAMES, 'initial_positions': PANDA_READY.tolist()}
+TOPICS = {
+    'joint_states': JointState, 'joint_command': JointState, 'cmd_vel': Twist,
+    'target_pose': PoseStamped, 'planner_node/configuration': String,
+    'planner_node/ticks': Float64MultiArray}
+
+
+def pose(position, rotation, frame=''):
+    """A PoseStamped without a stamp."""
+    message = PoseStamped()
+    message.header.frame_id = frame
+    p, o = message.pose.position, message.pose.orientation
+    p.x, p.y, p.z = np.asarray(position, dtype=float).tolist()
+    o.x, o.y, o.z, o.w = pin.Quaternion(np.asarray(rotation)).coeffs().tolist()
+    return message
+
+
+@pytest.fixture
+def ros():
+    with station() as (ros, processes):
+        ros.target = ros.node.create_publisher(PoseStamped, 'target_pose', 10)
+        ros.progress, ros.said = [], []
+        ros.node.create_subscription(
+            DiagnosticArray, 'planner_node/target', lambda m: ros.progress.extend(m.status),
+            QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        ros.node.create_subscription(Log, '/rosout', lambda m: ros.said.append(m.msg), 100)
+        ros.recorder = TopicRecorder(ros, TOPICS)
+        processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], ARM)
+        processes.start('planner_node', [ROBOTS / 'panda.yaml'],
+                        {'urdf': PANDA_URDF, 'publish_ticks': True})
+        ros.wait_for(lambda: ros.commands and ros.target.get_subscription_count()
+                     and ros.twist.get_subscription_count(), 'start')
+        yield ros
+
+
+def tip(ros):
+    return ROBOT.kinematics(ros.state(NAMES))
+
+
+def state(ros):
+    return ros.progress[-1].message if ros.progress else ''
+
+
+def go(ros, message, until):
+    """Publish a target once, and wait for a state."""
+    ros.progress.clear()
+    ros.target.publish(message)
+    ros.wait_for(lambda: state(ros) == until, until)
+
+
+def test_to_a_pose_and_on_from_there_and_its_bag_replays(ros, tmp_path):
+    begin = tip(ros)
+    goal = begin.tip_position + (0.1, 0.15, 0.05)
+    turned = pin.exp3(np.array([0.0, 0.0, 0.3])) @ begin.tip_rotation
+    go(ros, pose(goal, turned, 'panda_link0'), 'reached')
+    ros.wait_for(ros.at_rest, 'rest')
+    there = tip(ros)
+    np.testing.assert_allclose(there.tip_position, goal, atol=1e-3)
+    assert np.linalg.norm(pin.log3(there.tip_rotation.T @ turned)) < np.radians(0.2)
+    values = {v.key: v.value for v in ros.progress[-1].values}
+    assert float(values['distance [m]']) < 1e-3 and float(values['expected time [s]']) == 0.0
+
+    # From there 5 cm along the hand's own z: what the tip's frame means.
+    go(ros, pose((0.0, 0.0, 0.05), np.eye(3), 'panda_hand'), 'reached')
+    np.testing.assert_allclose(
+        tip(ros).tip_position, goal + 0.05 * turned[:, 2], atol=1e-3)
+
+    # A twist takes over at once; afterwards nothing is left of the target.
+    ros.drive_until(np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0]),
+                    lambda: state(ros) == 'no target', 'no target')
+    ros.wait_for(ros.at_rest, 'rest')
+    ros.recorder.write(tmp_path / 'bag')
+    with open_bag(tmp_path / 'bag') as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert sum(tick.target is not None for _, tick in inputs.ticks) > 200
+    found = differences(inputs, again(inputs, settings_of(PlannerParameters, inputs.values)))
+    assert len(found) > 500 and found.max() < 1e-9
+    assert replay_bag([str(tmp_path / 'bag'), '--out', str(tmp_path / 'again')]) == 0
+    assert replay_bag([str(tmp_path / 'bag'), '--out', str(tmp_path / 'other'),
+                       '--method', 'variational']) == 0
+
+
+def test_a_zero_cmd_vel_lets_go_and_bad_targets_are_refused(ros):
+    begin = tip(ros).tip_position
+    far = pose(begin + (0.15, 0.25, 0.0), tip(ros).tip_rotation)
+    ros.target.publish(far)
+    ros.wait_for(lambda: state(ros) == 'moving', 'motion')
+    ros.twist.publish(Twist())
+    ros.wait_for(ros.at_rest, 'rest')
+    ros.wait_for(lambda: state(ros) == 'no target', 'no target')
+    assert np.linalg.norm(tip(ros).tip_position - (begin + (0.15, 0.25, 0.0))) > 0.05
+    bad = pose(begin, np.eye(3))
+    bad.pose.orientation.w = 3.0
+    for message, reason in (
+            (pose(begin, np.eye(3), 'elsewhere'), "target_pose ignored: it is given in frame "
+                                                  "'elsewhere'; without tf2_ros it must be in"),
+            (bad, 'target_pose ignored: its orientation is the quaternion'),
+            (pose((np.nan, 0.0, 0.0), np.eye(3)), 'target_pose ignored: its position is')):
+        ros.wait_for(lambda reason=reason: any(reason in line for line in ros.said), reason,
+                     meanwhile=lambda message=message: (
+                         ros.target.publish(message), ros.spin(0.2)))
+    assert not ros.moves()
+    out = pose(begin + (1.5, 0.0, 0.0), np.eye(3))
+    go(ros, out, 'out of reach')
+    values = {v.key: v.value for v in ros.progress[-1].values}
+    assert float(values['ends off by [m, rad]']) > 0.3
