@@ -55,6 +55,7 @@ setup(
             f'scenario_player = {PACKAGE}.nodes.scenario_player:main',
             f'cloud_obstacles = {PACKAGE}.nodes.cloud_obstacles:main',
             f'depth_camera = {PACKAGE}.nodes.depth_camera:main',
+            f'go_to = {PACKAGE}.tools.go_to:main',
             f'record_bag = {PACKAGE}.tools.record_bag:main',
             f'analyze_bag = {PACKAGE}.tools.analyze_bag:main',
             f'replay_bag = {PACKAGE}.tools.replay_bag:main',

@@ -79,6 +79,11 @@ class CommandInput:
         """Whether a target commands the arm."""
         return self._target is not None
 
+    @property
+    def known_target(self) -> Pose | None:
+        """The target in the base frame; None without one, or before its first tick."""
+        return None if self._from_tip else self._target
+
     def target(self, tip: Pose) -> Pose | None:
         """Return where the tip shall go, in the base frame; None if a twist commands.
 

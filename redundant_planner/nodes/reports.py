@@ -66,15 +66,12 @@ class Reports:
 
     def publish_progress(self) -> None:
         """Publish how far the arm has come to its target, and once that it has none any more."""
-        result, progress = self._loop.state.result, None
-        if result is not None and self._loop.command.has_target:
-            progress = result.progress
-        if progress is None and not self._had_target:
+        result, target = self._loop.state.result, self._loop.command.known_target
+        if target is None and not self._had_target:
             return
-        self._had_target = progress is not None
+        self._had_target = target is not None
         self._target.publish(diagnostics(
-            progress_status(self._node.get_fully_qualified_name(), progress,
-                            result.reason if result is not None else ''),
+            progress_status(self._node.get_fully_qualified_name(), target, result),
             self._node.get_clock().now().to_msg()))
 
     def publish_markers(self) -> None:

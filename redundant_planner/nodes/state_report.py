@@ -9,13 +9,17 @@ from dataclasses import dataclass, field
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import Nearest, StepResult
-from redundant_planner.core.target.progress import Progress, TargetState
+from redundant_planner.core.target.progress import TargetState
 
 Array = npt.NDArray[np.float64]
 
+# What a target is called on ~/target: place and quaternion, x y z and x y z w, in the base frame.
+TARGET = 'target'
 # Tick times that are kept until the next report.
 _TICKS = 5000
 
@@ -112,16 +116,19 @@ def status_of(
     return status
 
 
-def progress_status(name: str, progress: Progress | None, reason: str) -> DiagnosticStatus:
+def progress_status(
+    name: str, target: Pose | None, result: StepResult | None,
+) -> DiagnosticStatus:
     """Return the entry of ~/target.
 
     Args:
         name: of the node.
-        progress: to the target, None without one.
-        reason: what holds the arm back, if anything.
+        target: in the base frame, None without one.
+        result: of the last tick.
     """
     status = DiagnosticStatus(name=f'{name}: target', message='no target')
-    if progress is None:
+    progress = result.progress if result is not None else None
+    if result is None or target is None or progress is None:
         return status
     stopped = progress.state in (TargetState.BLOCKED, TargetState.OUT_OF_REACH)
     status.level = DiagnosticStatus.WARN if stopped else DiagnosticStatus.OK
@@ -131,7 +138,9 @@ def progress_status(name: str, progress: Progress | None, reason: str) -> Diagno
         'angle [rad]': f'{progress.angle:.6f}',
         'expected time [s]': f'{progress.seconds:.3f}',
         'ends off by [m, rad]': f'{progress.miss:.4f}',
-        'limited by': reason,
+        'limited by': result.reason,
+        TARGET: ' '.join(f'{number:.6f}' for number in (
+            *target.position, *pin.Quaternion(target.rotation).coeffs())),
     }.items()]
     return status
 

@@ -1,0 +1,293 @@
+"""go_to: sends the tool of a running planner to a pose."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+import signal
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+
+from redundant_planner.core.errors import PlannerError, StateError
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.progress import TargetState
+from redundant_planner.io.printable import printable
+from redundant_planner.io.recorded_configuration import configuration_of
+from redundant_planner.io.robot_files import robot_of_values
+from redundant_planner.nodes.messages import positions_from_message
+from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+from redundant_planner.nodes.state_report import TARGET
+
+Array = npt.NDArray[np.float64]
+
+# How long planner and arm are waited for [s], and the arm for coming to rest.
+_PATIENCE, _STOPPING = 10.0, 3.0
+# Slower than this is at rest, see docs/interface.md [rad/s, m/s].
+_AT_REST = 2e-3
+# How long an arm that is blocked may stay so before this gives up [s].
+_BLOCKED = 5.0
+# Targets that differ by less are one, as their numbers are rounded [m, rad].
+_SAME = 1e-5
+_ENDS = (TargetState.BLOCKED.value, TargetState.OUT_OF_REACH.value)
+
+
+class _Client:
+    """A node that sends targets to a planner, and hears what becomes of them."""
+
+    def __init__(self, planner: str) -> None:
+        """Look for a planner's topics.
+
+        Args:
+            planner: name of its node.
+        """
+        self.node = Node('go_to', enable_rosout=False, start_parameter_services=False)
+        self.configuration = ''
+        self.state: JointState | None = None
+        self.status: DiagnosticStatus | None = None
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.target = self.node.create_publisher(PoseStamped, 'target_pose', 1)
+        self.pause = self.node.create_client(SetBool, f'{planner}/pause')
+        self.node.create_subscription(
+            String, f'{planner}/configuration', self._on_configuration, latched)
+        self.node.create_subscription(
+            DiagnosticArray, f'{planner}/target', self._on_status, latched)
+        self.node.create_subscription(
+            JointState, 'joint_states', self._on_state, qos_profile_sensor_data)
+        self._executor = best_executor(self.node.context)
+        self._executor.add_node(self.node)
+        self._planner = planner
+        self._sent: Pose | None = None
+
+    def _on_configuration(self, message: String) -> None:
+        self.configuration = message.data
+
+    def _on_state(self, message: JointState) -> None:
+        self.state = message
+
+    def _on_status(self, message: DiagnosticArray) -> None:
+        """Keep what is said of the target that was sent, and of nothing earlier."""
+        status = message.status[0] if message.status else None
+        if self._sent is None or status is None:
+            return
+        if self.status is not None or _is_of(status, self._sent):
+            self.status = status
+
+    def spin(self, seconds: float = 0.02) -> None:
+        """Listen for a while [s]."""
+        self._executor.spin_once(timeout_sec=seconds)
+
+    def wait_for(self, condition: Callable[[], object], what: str) -> None:
+        """Listen until something holds.
+
+        Raises:
+            StateError: it takes too long.
+        """
+        until = time.monotonic() + _PATIENCE
+        while not condition():
+            if time.monotonic() > until:
+                raise StateError(
+                    f'no {what} within {_PATIENCE:g} s; is {self._planner} running, in the same '
+                    'ROS domain and namespace? --planner names another')
+            self.spin()
+
+    def tip(self) -> tuple[Robot, Pose]:
+        """Return the planner's robot, and where its tip is now.
+
+        Raises:
+            PlannerError: the planner or the arm is not there.
+        """
+        self.wait_for(lambda: self.configuration, 'configuration of a planner')
+        self.wait_for(lambda: self.target.get_subscription_count(), 'listener on target_pose')
+        self.wait_for(lambda: self.state is not None, 'joint_states')
+        notes: list[str] = []
+        values = configuration_of(self.configuration, notes)
+        if not values:
+            raise StateError(f"the planner's configuration is unusable: {'; '.join(notes)}")
+        robot = robot_of_values(values)
+        assert self.state is not None
+        arm = robot.kinematics(positions_from_message(self.state, robot.joint_names))
+        return robot, Pose(arm.tip_position, arm.tip_rotation)
+
+    def send(self, pose: Pose, frame: str) -> None:
+        """Publish a target in the base's frame."""
+        message = PoseStamped()
+        message.header.frame_id = frame
+        place, turn = message.pose.position, message.pose.orientation
+        place.x, place.y, place.z = pose.position.tolist()
+        turn.x, turn.y, turn.z, turn.w = pin.Quaternion(pose.rotation).coeffs().tolist()
+        self._sent = pose
+        self.target.publish(message)
+
+    def stop(self) -> None:
+        """Bring the arm to rest: a pause lets go of the target."""
+        if not self.pause.wait_for_service(1.0):
+            return
+        self.pause.call_async(SetBool.Request(data=True))
+        until = time.monotonic() + _STOPPING
+        while time.monotonic() < until:
+            self.state = None
+            self.spin(0.1)
+            if self.state is not None and np.abs(self.state.velocity).max(initial=0.0) < _AT_REST:
+                break
+        done = self.pause.call_async(SetBool.Request(data=False))
+        while not done.done() and time.monotonic() < until + 1.0:
+            self.spin()
+
+
+def target_of(
+    tip: Pose, position: list[float] | None, rpy: list[float] | None, relative: bool,
+) -> Pose:
+    """Return the pose to go to, in the base frame.
+
+    Args:
+        tip: where it is now.
+        position: x, y, z [m]; None to stay there.
+        rpy: roll, pitch, yaw [rad]; None to keep the orientation.
+        relative: whether both are given from where the tip is, in its axes.
+
+    Raises:
+        StateError: a number is not finite.
+    """
+    for name, values in (('--position', position), ('--rpy', rpy)):
+        if not np.isfinite(values or 0.0).all():
+            raise StateError(f'{name} is {values}; it takes three finite numbers')
+    turn = None if rpy is None else np.asarray(pin.rpy.rpyToMatrix(*rpy))
+    if relative:
+        return se3.composed(tip, Pose(
+            np.array(position or np.zeros(3), dtype=float), np.eye(3) if turn is None else turn))
+    return Pose(tip.position if position is None else np.array(position, dtype=float),
+                tip.rotation if turn is None else turn)
+
+
+def follow(client: _Client, target: Pose, console: Console) -> str:
+    """Show how far the arm has come until it is there or stays blocked; return the last state.
+
+    Raises:
+        StateError: the planner says nothing of the target.
+    """
+    client.wait_for(lambda: client.status is not None and client.status.values,
+                    'word of the target on ~/target')
+    first = _left(client.status)
+    blocked_since = None
+    with Progress(TextColumn('{task.description}'), BarColumn(),
+                  TextColumn('{task.fields[what]}'), console=console) as bar:
+        task = bar.add_task('moving', total=1.0, what='')
+        while True:
+            status = client.status
+            assert status is not None
+            state, values = status.message, _values(status)
+            if not _is_of(status, target):
+                return 'somebody else commands the arm now'
+            share = 1.0 - min(_left(status) / max(first, 1e-9), 1.0)
+            bar.update(task, completed=share, description=state, what=(
+                f'{1e3 * float(values["distance [m]"]):.1f} mm, '
+                f'{np.degrees(float(values["angle [rad]"])):.1f}°, '
+                f'another {float(values["expected time [s]"]):.1f} s '
+                f'{printable(values["limited by"])}'))
+            if state == TargetState.REACHED.value:
+                bar.update(task, completed=1.0)
+                return str(state)
+            if state not in _ENDS:
+                blocked_since = None
+            elif blocked_since is None:
+                blocked_since = time.monotonic()
+            elif time.monotonic() > blocked_since + _BLOCKED:
+                return str(state)
+            client.spin()
+
+
+def _is_of(status: DiagnosticStatus, target: Pose) -> bool:
+    """Return whether a status is of a target."""
+    text = _values(status).get(TARGET, '')
+    numbers = np.array(text.split(), dtype=float)
+    if numbers.shape != (7,):
+        return False
+    turn = np.asarray(pin.Quaternion(numbers[3:]).toRotationMatrix())
+    return bool(np.abs(numbers[:3] - target.position).max() < _SAME
+                and np.abs(turn - target.rotation).max() < _SAME)
+
+
+def _values(status: DiagnosticStatus | None) -> dict[str, str]:
+    return {} if status is None else {value.key: value.value for value in status.values}
+
+
+def _left(status: DiagnosticStatus | None) -> float:
+    """Return what is left of a way, metres and radians alike."""
+    values = _values(status)
+    return float(values.get('distance [m]', 0.0)) + float(values.get('angle [rad]', 0.0))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run go_to; return the process's exit status: 0 if the arm is there or on its way."""
+    parser = argparse.ArgumentParser(
+        prog='go_to', description=__doc__,
+        epilog='ROS arguments (--ros-args -r __ns:=/left …) may follow.')
+    numbers: dict[str, Any] = {'type': float, 'nargs': 3}
+    parser.add_argument('--position', metavar=('X', 'Y', 'Z'), **numbers,
+                        help='of the tip in the base frame [m]; left out: where it is')
+    parser.add_argument('--rpy', metavar=('ROLL', 'PITCH', 'YAW'), **numbers,
+                        help='its orientation [rad]; left out: as it is')
+    parser.add_argument('--relative', action='store_true',
+                        help='both are given from where the tip is, in its own axes')
+    parser.add_argument('--wait', action='store_true',
+                        help='show a progress bar until the arm is there; Ctrl-C stops the arm')
+    parser.add_argument('--planner', default='planner_node', help="name of the planner's node")
+    given = sys.argv[1:] if args is None else args
+    ros = given.index('--ros-args') if '--ros-args' in given else len(given)
+    options = parser.parse_args(given[:ros])
+    if options.position is None and options.rpy is None:
+        parser.error('give --position, --rpy or both')
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    console = Console(markup=False, emoji=False, highlight=False)
+    client = None
+    try:
+        keep_off_shared_memory()
+        rclpy.init(args=['go_to', *given[ros:]], signal_handler_options=SignalHandlerOptions.NO)
+        client = _Client(options.planner)
+        robot, tip = client.tip()
+        target = target_of(tip, options.position, options.rpy, options.relative)
+        client.send(target, robot.base_frame)
+        if not options.wait:
+            # Until it is heard: a publisher that is gone takes its message along.
+            client.wait_for(lambda: client.status is not None, 'word of the target on ~/target')
+            return 0
+        state = follow(client, target, console)
+        if state == TargetState.REACHED.value:
+            return 0
+        reason = _values(client.status).get('limited by', '')
+        print(f'go_to: {state}{": " if reason else ""}{printable(reason)}', file=sys.stderr)
+        if state in _ENDS:
+            client.stop()
+        return 1
+    except (PlannerError, OSError) as error:
+        print(f'go_to: {printable(str(error))}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        if client is not None:
+            client.stop()
+        print('go_to: stopped', file=sys.stderr)
+        return 130
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,107 @@
+"""go_to: there and back with real nodes, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+
+from bench import ARM, ARM_VALUES, FILE
+from live_helpers import LIVE, station
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from redundant_planner.core.errors import StateError
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.nodes.messages import markers_of
+from redundant_planner.tools.go_to import main as go_to, target_of
+
+TIP = Pose(np.array([0.1, 0.2, 0.3]), np.asarray(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 2)))
+
+
+def test_left_out_parts_stay_and_relative_is_in_the_tips_axes():
+    there = target_of(TIP, [0.4, 0.5, 0.6], None, False)
+    np.testing.assert_array_equal(there.position, [0.4, 0.5, 0.6])
+    np.testing.assert_array_equal(there.rotation, TIP.rotation)
+    turned = target_of(TIP, None, [0.0, 0.0, 0.0], False)
+    np.testing.assert_array_equal(turned.position, TIP.position)
+    np.testing.assert_allclose(turned.rotation, np.eye(3), atol=1e-12)
+    forward = target_of(TIP, [0.1, 0.0, 0.0], [0.0, 0.0, np.pi / 2], True)
+    np.testing.assert_allclose(forward.position, [0.1, 0.3, 0.3], atol=1e-12)
+    np.testing.assert_allclose(forward.rotation, pin.rpy.rpyToMatrix(0.0, 0.0, np.pi), atol=1e-12)
+
+
+def test_what_it_cannot_use_is_refused(capsys):
+    with pytest.raises(StateError, match='--position is .* three finite'):
+        target_of(TIP, [0.0, np.nan, 0.0], None, False)
+    with pytest.raises(SystemExit):
+        go_to([])
+    assert 'give --position, --rpy or both' in capsys.readouterr().err
+
+
+def run(ros, *arguments):
+    """go_to as a process, in the station's domain."""
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(ros.node.context.get_domain_id())}
+    return subprocess.Popen(
+        [sys.executable, '-m', 'redundant_planner.tools.go_to', *arguments], env=environment,
+        text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def end(ros, process):
+    """Wait until it ends; return exit status and output."""
+    ros.wait_for(lambda: process.poll() is not None, 'the end of go_to')
+    out, err = process.communicate()
+    return process.returncode, out, err
+
+
+@pytest.mark.live
+@LIVE
+def test_there_blocked_and_stopped_by_ctrl_c():
+    with station() as (ros, processes):
+        processes.start('fake_hardware_node', FILE, ARM_VALUES)
+        processes.start('planner_node', FILE, {'limits.linear_speed': 0.05})
+        ros.wait_for(lambda: ros.commands and ros.obstacles.get_subscription_count(), 'start')
+
+        def tip():
+            return ARM.kinematics(ros.state(ARM.joint_names)).tip_position
+
+        begin = tip()
+        there = [f'{number:.5f}' for number in begin + (0.0, -0.05, 0.02)]
+        status, out, err = end(ros, run(ros, '--position', *there, '--wait'))
+        assert status == 0, err
+        assert 'reached' in out and re.search(r'0\.\d mm', out)
+        np.testing.assert_allclose(tip(), begin + (0.0, -0.05, 0.02), atol=1e-3)
+
+        # Without --wait it is back at once, and the arm goes on its way.
+        status, _, err = end(ros, run(ros, '--position', *there, '--rpy', '0', '0', '0.1'))
+        assert status == 0, err
+
+        wall = Obstacle.box('wall', begin + (0.0, -0.25, 0.0), (2.0, 0.05, 2.0))
+        ros.obstacles.publish(markers_of([wall], ARM.base_frame))
+        ros.wait_for(lambda: any(v.value == '1' for s in ros.statuses[-1:] for v in s.values
+                                 if v.key == 'obstacles'), 'the wall')
+        behind = [f'{number:.5f}' for number in begin + (0.0, -0.4, 0.0)]
+        status, _, err = end(ros, run(ros, '--position', *behind, '--wait'))
+        assert status == 1 and re.search(r"(blocked|out of reach): .*'wall", err), err
+
+        before = tip()
+        process = run(ros, '--position', *(f'{n:.5f}' for n in begin), '--wait')
+        ros.wait_for(lambda: np.linalg.norm(tip() - before) > 0.01, 'motion')
+        process.send_signal(signal.SIGINT)
+        status, _, err = end(ros, process)
+        assert status == 130 and 'stopped' in err
+        ros.commands.clear()
+        ros.wait_for(ros.at_rest, 'rest')
+        assert np.linalg.norm(tip() - begin) > 0.01
+
+
+@pytest.mark.live
+@LIVE
+def test_without_a_planner_it_says_what_is_missing():
+    with station() as (ros, _):
+        status, _, err = end(ros, run(ros, '--position', '0', '0', '0'))
+        assert status == 2 and 'no configuration of a planner within 10 s' in err
