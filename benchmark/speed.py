@@ -157,7 +157,8 @@ def sections(
             Request(np.linalg.pinv(arm.jacobian) @ twist, arm.jacobian, twist, np.zeros(robot.m),
                     np.zeros(robot.m), start, at_rest),
             limits, barriers_of(near.gradient, near.rate, near.normalized_distance),
-            weights=np.ones(robot.n), gain=p.clearance_gain, may_yield=False, dt=_DT),
+            weights=np.ones(robot.n), gain=p.clearance_gain, may_yield=False,
+            may_slide=False, dt=_DT),
     }
     return {name: _median(part, ticks) for name, part in parts.items()}
 

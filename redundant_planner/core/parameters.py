@@ -119,7 +119,7 @@ COMMAND_FRAMES = ('base', 'tool')
 # The last two are the paper's to the letter, without limits or a safety filter.
 METHODS = ('gradient_projection', 'dynamic_factor', 'variational')
 PAPER_METHODS = ('paper', 'paper_gradient_projection')
-PATH_PRIORITIES = ('yield', 'strict')
+PATH_PRIORITIES = ('yield', 'strict', 'slide')
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,9 @@ class PlannerParameters:
         description='Whether the tip may leave its path where something moves into the arm, or '
                     'was found too close to it, and nothing else helps. yield: it may, and comes '
                     'back afterwards. strict: it never does, and may be hit. Near static '
-                    'obstacles the tip keeps its path either way.')
+                    'obstacles the tip keeps its path either way. slide: as yield, and near '
+                    'static obstacles the tip turns aside instead of slowing down, its direction '
+                    'as near to the command as possible; its path goes on from there.')
     criteria_k_alpha: float = parameter(
         0.9, low=0.0, high=10.0, runtime=True,
         group='criteria',

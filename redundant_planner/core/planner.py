@@ -333,7 +333,7 @@ class Planner:
     def _turn(self, start: Start, around: Surroundings) -> Turn:
         """Return the turn of the first joints out of the course of what moves."""
         p = self._parameters
-        if not (self._watch.fastest > 0.0 and self._filtered and p.path_priority == 'yield'
+        if not (self._watch.fastest > 0.0 and self._filtered and p.path_priority != 'strict'
                 and p.clearance_evasion_horizon > 0.0):
             self._evasion.reset()
             return NO_TURN
@@ -390,7 +390,8 @@ class Planner:
             task.turning, start.arm.q, start.previous)
         return safe_velocity(
             request, limits, desired.barriers, weights=self._weights, gain=p.clearance_gain,
-            may_yield=desired.intruded and p.path_priority == 'yield', dt=start.dt)
+            may_yield=desired.intruded and p.path_priority != 'strict',
+            may_slide=p.path_priority == 'slide' and bool(start.command.any()), dt=start.dt)
 
     def _followed(
         self, result: Filtered, desired: Wish, jacobian: Array, dt: float,
@@ -404,6 +405,8 @@ class Planner:
             followed = jacobian @ result.dq + task.turning - task.feedback
         elif result.stage is Stage.DESIRED:
             return task.commanded, desired.reached
+        elif result.stage is Stage.SLIDING:  # the path goes on from where the tip gets to
+            followed = jacobian @ result.dq + task.turning - task.feedback
         else:
             followed = result.scale * task.commanded + result.residual * self._last.followed
         return followed, followed_pose(

@@ -92,6 +92,7 @@ CASES = [
          smallest_distance, '+'),
     Case('path_priority', 'strict', 'yield', into_the_forearm, smallest_distance, '+'),
     Case('path_priority', 'strict', 'yield', into_the_forearm, largest_path_error, '+'),
+    Case('path_priority', 'yield', 'slide', held_up, time_lost, '-'),
     Case('drive_lag', 0.0, 0.06, with_slow_drives, largest_path_error, '-', DEAD_TIME),
     Case('drive_dead_time', 0.0, 0.04, with_slow_drives, largest_path_error, '-', LAG),
     Case('criteria_k_alpha', 0.2, 0.9, held_up, null_space_share, '+', EQ_2),

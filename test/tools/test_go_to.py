@@ -36,7 +36,7 @@ def test_left_out_parts_stay_and_relative_is_in_the_tips_axes():
 
 
 def test_what_it_cannot_use_is_refused(capsys):
-    with pytest.raises(StateError, match='--position is .* three finite'):
+    with pytest.raises(StateError, match=r'--position is .* three finite'):
         target_of(TIP, [0.0, np.nan, 0.0], None, False)
     with pytest.raises(SystemExit):
         go_to([])
@@ -80,7 +80,7 @@ def test_there_blocked_and_stopped_by_ctrl_c():
         status, _, err = end(ros, run(ros, '--position', *there, '--rpy', '0', '0', '0.1'))
         assert status == 0, err
 
-        wall = Obstacle.box('wall', begin + (0.0, -0.25, 0.0), (2.0, 0.05, 2.0))
+        wall = Obstacle.box('wall', begin + (0.0, -0.25, 0.0), (0.2, 0.05, 0.2))
         ros.obstacles.publish(markers_of([wall], ARM.base_frame))
         ros.wait_for(lambda: any(v.value == '1' for s in ros.statuses[-1:] for v in s.values
                                  if v.key == 'obstacles'), 'the wall')

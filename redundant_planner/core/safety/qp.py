@@ -62,6 +62,7 @@ class StageProblem(NamedTuple):
         slack: whether barriers may give way.
         shared: whether all of them share one slack: fewer variables, and a solution sooner.
         path_gives_way: whether the path may.
+        whole: whether the share s is 1.
     """
 
     desired: Vector
@@ -79,6 +80,7 @@ class StageProblem(NamedTuple):
     slack: bool
     shared: bool
     path_gives_way: bool
+    whole: bool
 
 
 class Solution(NamedTuple):
@@ -177,6 +179,8 @@ def _matrices(
         # Proportional braking alone, r = 1, may be all there is: round-off must not shut it out.
         high[i] = 1.0 + 1e-6
     high[n] = 1.0
+    if problem.whole:
+        low[n] = 1.0
     for i in range(n):
         low[i], high[i] = problem.lower[i], problem.upper[i]
     for row in range(m):

@@ -43,6 +43,7 @@ class Stage(Enum):
 
     DESIRED = 'the desired velocity breaks no limit'
     SCALED = 'the speed gave way'
+    SLIDING = 'the tip slides along what is in its way'
     BRAKING = 'the arm brakes'
     YIELDING = 'the arm leaves its path to evade'
     FORCED = 'a clearance could not be kept at the rate asked for'
@@ -140,7 +141,7 @@ _NO_SPARE: Array = np.empty(0)
 
 def safe_velocity(
     request: Request, limits: Limits, barriers: Barriers, *, weights: Array, gain: float,
-    may_yield: bool, dt: float,
+    may_yield: bool, may_slide: bool, dt: float,
 ) -> Filtered:
     """Return the admissible joint velocity nearest to the desired one.
 
@@ -151,6 +152,7 @@ def safe_velocity(
         weights: (n,) diagonal of W.
         gain: barrier gain [1/s].
         may_yield: whether the path may give way to a barrier.
+        may_slide: whether the direction may, rather than the speed.
         dt: [s].
     """
     previous = request.previous
@@ -172,14 +174,20 @@ def safe_velocity(
         until = shorter if rule.brakes else longer
         gradient = barriers.gradient[:rows]
         bounds = barrier_bounds(barriers, gain, until, dt)[:rows]
-        found, out_of_iterations = solve(StageProblem(
+        problem = StageProblem(
             request.desired, request.jacobian, request.feedback if rule.slack else request.twist,
             request.turning, residual, low if brakes else lower, high if brakes else upper,
             gradient, bounds,
             barrier_rate(gain, until, dt) * barriers.spare[:rows] if rule.slack else _NO_SPARE,
-            weights, rule.residual, rule.slack, rule.shared, rule.path and may_yield))
+            weights, rule.residual, rule.slack, rule.shared, rule.path and may_yield, False)
+        found, out_of_iterations = solve(problem)
         if out_of_iterations and rule.stage not in cut_short:
             cut_short.append(rule.stage)
+        if may_slide and rows and rule.stage is Stage.SCALED and not (
+                found is not None and (found.scale >= 1.0 or not len(found.pairs))):
+            slid = _slid(problem, previous, limits.acceleration_max * dt)
+            if slid is not None:
+                return slid
         if found is not None:
             return Filtered(
                 found.dq, 0.0 if rule.slack else found.scale,
@@ -194,6 +202,30 @@ def safe_velocity(
                             Stage.BRAKING, _NONE, _NONE, tuple(cut_short))
     still = np.minimum(np.maximum(0.0, lower if kept else low), upper if kept else high)
     return Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE, tuple(cut_short))
+
+
+def _slid(problem: StageProblem, previous: Array, step: Array) -> Filtered | None:
+    """Return a velocity that turns aside from what is in the way, None where there is none.
+
+    As fast as the arm could go without barriers, and as near to that twist as these allow.
+
+    Args:
+        problem: of the stage in which the speed alone gives way.
+        previous: (n,) velocity of the last tick.
+        step: (n,) how much a velocity may change in a tick.
+    """
+    # In proportion, so that the arm speeds up along the twist.
+    change = problem.desired - previous
+    share = min(1.0, float((step / np.maximum(np.abs(change), TOLERANCE)).min()))
+    twist = problem.jacobian @ (previous + share * change) + problem.turning
+    found, _ = solve(problem._replace(twist=twist, path_gives_way=True, whole=True))
+    if found is None:
+        return None
+    squared = float(problem.twist @ problem.twist)
+    along = float((problem.jacobian @ found.dq) @ problem.twist)
+    return Filtered(
+        found.dq, min(max(along / squared, 0.0), 1.0) if squared > 0.0 else 0.0, 0.0,
+        Stage.SLIDING, found.joints, found.pairs)
 
 
 def _braking_bounds(

@@ -24,7 +24,7 @@ def filtered(desired, jacobian, twist, q, previous, barriers=NO_BARRIERS, may_yi
     still = np.zeros(len(twist))
     request = Request(desired, jacobian, twist, still, still, q, previous)
     return safe_velocity(request, LIMITS, barriers, weights=np.ones(N), gain=10.0,
-                         may_yield=may_yield, dt=DT)
+                         may_yield=may_yield, may_slide=False, dt=DT)
 
 
 @settings(max_examples=200, deadline=None)
