@@ -219,6 +219,7 @@ class Planner:
         """
         # Sense: where the arm is, and the obstacles near it.
         command, commanded = self._checked_command(twist, dt)
+        target = None if target is None else checked_pose(target)
         arm = self.robot.kinematics(self._posture(q, dt))
         pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
         around = self._watch.look(scene, arm, last.dq, dt)
@@ -229,7 +230,7 @@ class Planner:
             self._way.reset()
         else:
             command, ahead = self._way.command(
-                start, checked_pose(target), self.robot.full_twist(last.followed),
+                start, target, self.robot.full_twist(last.followed),
                 0.5 * (self._mean.ticks - 1) * dt)
             start, commanded = start._replace(command=command), bool(command.any())
         turn = self._turn(start, around)

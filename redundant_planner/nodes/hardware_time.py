@@ -38,6 +38,7 @@ class HardwareTime:
             advance: simulates up to `now` and publishes the state.
         """
         self.simulated = parameters.clock
+        self._stamps = node.get_clock()
         self._rate, self._advance = rate, advance
         self._ticks = 0
         self._lock_step = LockStep(
@@ -57,7 +58,9 @@ class HardwareTime:
 
     def stamp_ns(self) -> int:
         """Return the time for stamps [ns]."""
-        return self._ticks * NANOSECONDS // self._rate if self.simulated else time.time_ns()
+        if self.simulated:
+            return self._ticks * NANOSECONDS // self._rate
+        return int(self._stamps.now().nanoseconds)
 
     def stamp(self) -> Time:
         """Return the time for stamps, as a message."""

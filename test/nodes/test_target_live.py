@@ -54,7 +54,7 @@ def ros():
         ros.recorder = TopicRecorder(ros, TOPICS)
         processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], ARM)
         processes.start('planner_node', [ROBOTS / 'panda.yaml'],
-                        {'urdf': PANDA_URDF, 'publish_ticks': True})
+                        {'urdf': PANDA_URDF, 'publish_ticks': True, 'limits.linear_speed': 0.2})
         ros.wait_for(lambda: ros.commands and ros.target.get_subscription_count()
                      and ros.twist.get_subscription_count(), 'start')
         yield ros

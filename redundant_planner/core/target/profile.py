@@ -66,7 +66,7 @@ class Profile(NamedTuple):
         Args:
             speed: f at the first node.
         """
-        f = np.minimum(self.speed, math.inf)
+        f = self.speed.copy()
         f[0] = speed
         spans = -np.diff(self.left)
         for i, span in enumerate(spans):
