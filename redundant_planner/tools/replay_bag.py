@@ -258,14 +258,16 @@ def _as_in_files(parameters: PlannerParameters) -> dict[str, Any]:
 def differences(inputs: Inputs, replay: Replay) -> Array:
     """Return how far each replayed command is from the recorded one, (k,); lost ones are left out.
 
+    Where simulated time stood still, ticks have the same stamp; the last one's command counts.
+
     Args:
         inputs: of the bag.
         replay: from `again`.
     """
     ticks = inputs.ticks[_first_start(inputs):]
-    found = [(inputs.commands[tick.stamp_ns], dq) for (_, tick), dq in zip(
-        ticks, replay.velocities) if tick.stamp_ns in inputs.commands]
-    apart = np.array([np.abs(recorded - dq).max() for recorded, dq in found])
+    replayed = {tick.stamp_ns: dq for (_, tick), dq in zip(ticks, replay.velocities)}
+    apart = np.array([np.abs(inputs.commands[stamp] - dq).max()
+                      for stamp, dq in replayed.items() if stamp in inputs.commands])
     return apart[np.isfinite(apart)]  # a command without velocities tells nothing
 
 
