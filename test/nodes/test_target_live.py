@@ -68,11 +68,16 @@ def state(ros):
     return ros.progress[-1].message if ros.progress else ''
 
 
+def target(ros):
+    """The target that the planner last spoke of, as text."""
+    return {v.key: v.value for s in ros.progress[-1:] for v in s.values}.get('target')
+
+
 def go(ros, message, until):
-    """Publish a target once, and wait for a state."""
-    ros.progress.clear()
+    """Publish a target once, and wait for a state that is of this one."""
+    before = target(ros)
     ros.target.publish(message)
-    ros.wait_for(lambda: state(ros) == until, until)
+    ros.wait_for(lambda: state(ros) == until and target(ros) != before, until)
 
 
 def test_to_a_pose_and_on_from_there_and_its_bag_replays(ros, tmp_path):
