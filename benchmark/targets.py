@@ -1,9 +1,9 @@
 """Random poses to go to among obstacles: `python -m benchmark.targets --help`.
 
-Start and goal are postures that are free at the margin; the obstacles lie anywhere else. The tip
-goes along a line, so many goals are behind something: how many, depends on the obstacles alone.
-What counts is that nothing is touched, that no limit is exceeded, and how long a way takes that is
-free, over the least time that the joints' limits leave for the same joint path.
+Start and goal are postures that are free at the margin; the obstacles lie anywhere else. With
+--path straight the tip goes along a line, and many goals are behind something. What counts is that
+nothing is touched, that no limit is exceeded, how many goals are reached, and how long a motion
+takes over the least time that the joints' limits leave for the same joint path.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
-from redundant_planner.core.parameters import METHODS, PlannerParameters
+from redundant_planner.core.parameters import METHODS, PlannerParameters, TARGET_PATHS
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -39,7 +39,9 @@ from redundant_planner.core.target.progress import TargetState
 Array = npt.NDArray[np.float64]
 
 DT = 0.004
-_LONGEST = 10.0  # [s]
+_LONGEST = 15.0  # [s]
+# A run ends when the arm has been held up for so long [s].
+_HELD_UP, _PATIENCE = (TargetState.BLOCKED, TargetState.OUT_OF_REACH), 2.0
 # Start and goal keep this from obstacles and between links [m], and from joint limits [rad].
 _CLEAR, _LIMIT_DISTANCE = 0.03, 0.1
 _LOWEST = 0.1  # the tip [m]
@@ -66,7 +68,8 @@ class Outcome(NamedTuple):
         distance, angle: of the tip from the target at the end [m, rad].
         clearance: smallest distance of a link to an obstacle or another link [m].
         violation: see `limit_violation`.
-        seconds: until the target was reached [s].
+        thought: how long the arm thought [s].
+        seconds: until the target was reached, besides [s].
         fastest: the least that the joints' limits leave for the same joint path [s].
     """
 
@@ -76,6 +79,7 @@ class Outcome(NamedTuple):
     angle: float
     clearance: float
     violation: float
+    thought: float
     seconds: float
     fastest: float
 
@@ -119,15 +123,18 @@ def run(robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int
     arm = robot.kinematics(problem.goal)
     target = Pose(arm.tip_position, arm.tip_rotation)
     q, positions, velocities = problem.start, [problem.start], []
-    still = np.zeros(6)
+    still, held_up, thought = np.zeros(6), 0.0, 0.0
     for _ in range(round(_LONGEST / DT)):
         result = planner.step(q, still, scene, DT, target=target)
         q = q + DT * result.dq
         positions.append(q)
         velocities.append(result.dq)
         assert result.progress is not None
-        if result.progress.state is not TargetState.MOVING:
+        state = result.progress.state
+        held_up = held_up + DT if state in _HELD_UP else 0.0
+        if state is TargetState.REACHED or held_up > _PATIENCE:
             break
+        thought += DT * (state is TargetState.THINKING)
     motion = Motion.through(capsules_of(robot), np.array(positions))
     clearance = min(motion.to_obstacles(problem.obstacles, DT).distance,
                     motion.to_itself().distance)
@@ -135,7 +142,8 @@ def run(robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int
     return Outcome(
         seed, progress.state.value, progress.distance, progress.angle, clearance,
         limit_violation(robot, np.array(positions), np.array(velocities), DT),
-        DT * len(velocities), fastest_time(robot, np.array(positions), parameters))
+        thought, DT * len(velocities) - thought,
+        fastest_time(robot, np.array(positions), parameters))
 
 
 def fastest_time(
@@ -175,10 +183,11 @@ def fastest_time(
     return float((2.0 * ds / (speed[1:] + speed[:-1])).sum()) + jerk
 
 
-def _job(job: tuple[int, str]) -> Outcome:
-    seed, method = job
+def _job(job: tuple[int, str, str]) -> Outcome:
+    seed, method, path = job
     robot = make_robot('panda', 6)
-    return run(robot, problem_of(robot, seed), PlannerParameters(method=method), seed)
+    return run(robot, problem_of(robot, seed), PlannerParameters(
+        method=method, target_path=path), seed)
 
 
 def main() -> None:
@@ -186,6 +195,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog='benchmark.targets', description=__doc__)
     parser.add_argument('--count', type=int, default=200)
     parser.add_argument('--seed', type=int, default=0, help='first seed')
+    parser.add_argument('--path', choices=TARGET_PATHS, default=TARGET_PATHS[0])
     parser.add_argument('--jobs', type=int, default=2, help='processes')
     parser.add_argument('--json', type=Path, help='file for every outcome')
     options = parser.parse_args()
@@ -193,12 +203,12 @@ def main() -> None:
     console, outcomes = Console(), {}
     with Pool(options.jobs) as pool:
         for method in methods:
-            jobs = [(options.seed + i, method) for i in range(options.count)]
+            jobs = [(options.seed + i, method, options.path) for i in range(options.count)]
             outcomes[method] = list(track(
                 pool.imap(_job, jobs), method, len(jobs), console=Console(stderr=True)))
-    table = Table(title=f'{options.count} poses from seed {options.seed}, in a line')
+    table = Table(title=f'{options.count} poses from seed {options.seed}, {options.path}')
     for heading in ('method', 'reached', 'blocked', 'out of reach', 'contacts', 'violations',
-                    'off [mm]', 'off [deg]', 'time', '90 %'):
+                    'off [mm]', 'off [deg]', 'thought [s]', 'time', '90 %'):
         table.add_column(heading)
     for method, found in outcomes.items():
         reached = [o for o in found if o.state == TargetState.REACHED.value]
@@ -209,7 +219,8 @@ def main() -> None:
             str(sum(o.violation > 0.0 for o in found)),
             f'{1e3 * max((o.distance for o in reached), default=np.nan):.2f}',
             f'{np.degrees(max((o.angle for o in reached), default=np.nan)):.3f}',
-            f'{np.median(ratios):.3f}', f'{np.percentile(ratios, 90):.3f}')
+            f'{np.median([o.thought for o in reached]):.2f}', f'{np.median(ratios):.3f}',
+            f'{np.percentile(ratios, 90):.3f}')
     console.print(table)
     if options.json is not None:
         options.json.write_text(json.dumps(

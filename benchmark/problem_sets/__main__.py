@@ -2,7 +2,8 @@
 
 MotionBenchMaker's problems for the Panda, from a folder with scenes and requests in MoveIt's
 YAML, or problems made from a seed. Every method servoes to the goal's pose along a straight line,
-for 30 s at most. coal judges every tick with the exact shapes and the collision meshes.
+for 30 s at most. With --command target_pose this package's methods find their own way instead.
+coal judges every tick with the exact shapes and the collision meshes.
 
     python -m benchmark.problem_sets problems --family table_pick --count 20
     python -m benchmark.problem_sets --generated --seed 7 --explain --json generated.json
@@ -59,6 +60,11 @@ def _options(args: list[str] | None) -> argparse.Namespace:
                         'where they are installed, mink and pink if not given')
     parser.add_argument('--margin', type=float, default=0.01, metavar='M',
                         help='that everybody keeps from obstacles [m]')
+    parser.add_argument('--command', choices=('twist', 'target_pose'), default='twist',
+                        help='what this package gets: twists along the line, as everybody, or '
+                        'the goal itself')
+    parser.add_argument('--optimum', action='store_true',
+                        help='compare every way with the shortest one near it (CasADi)')
     parser.add_argument('--explain', action='store_true',
                         help='plan what was not reached without the line as well')
     parser.add_argument('--jobs', type=int, default=1,
@@ -129,7 +135,8 @@ def main(args: list[str] | None = None) -> int:
     console = Console(width=180)
     methods = options.method or list(DEFAULT_METHODS) + [
         name for name in PEERS if importlib.util.find_spec(name)]
-    task = Task(tuple(methods), options.margin, options.explain)
+    task = Task(tuple(methods), options.margin, options.explain,
+                options.command == 'target_pose', options.optimum)
     try:
         result = run(_jobs(options), task, options.jobs)
     except ProblemFileError as error:

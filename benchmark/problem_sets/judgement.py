@@ -20,6 +20,9 @@ from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
 
+# An arm this slow stands [rad/s].
+_STANDSTILL = 1e-3
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -36,6 +39,8 @@ class Outcome:
         time: of the run [s].
         tick_us: (k,) time of every tick [us].
         reason: what held the arm back last.
+        thought: time until the first motion [s].
+        path_ratio: see `shortest.path_ratio`; NaN if nobody looked.
     """
 
     problem: str
@@ -49,6 +54,8 @@ class Outcome:
     time: float
     tick_us: Array
     reason: str
+    thought: float = 0.0
+    path_ratio: float = np.nan
 
 
 class Judge:
@@ -69,7 +76,13 @@ class Judge:
             capsules.to_obstacles(problem.obstacles, DT), meshes.to_itself(),
             limit_violation(self._robot, run.postures, run.velocities, DT),
             float(np.abs(np.diff(run.postures, axis=0)).sum()), DT * len(run.velocities),
-            run.tick_us, run.reason)
+            run.tick_us, run.reason, DT * _first_motion(run.velocities))
+
+
+def _first_motion(velocities: Array) -> int:
+    """Return how many ticks the arm stood first."""
+    moves = np.abs(velocities).max(axis=1, initial=0.0) > _STANDSTILL
+    return int(moves.argmax()) if moves.any() else len(moves)
 
 
 def summarise(outcomes: Sequence[Outcome], left_out: Counter[str]) -> dict[str, Any]:
@@ -99,19 +112,28 @@ def _figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Return the figures; paths and times are those of the runs that reached their goals."""
     reached = [o for o in outcomes if o.reached]
     ticks = [o.tick_us for o in outcomes if len(o.tick_us)]
+    ratios = [o.path_ratio for o in reached if np.isfinite(o.path_ratio)]
     return {
         'count': len(outcomes),
         'reached': len(reached) / len(outcomes) if outcomes else None,
         'collisions': sum(o.mesh.distance < 0.0 for o in outcomes),
         'self_collisions': sum(o.itself.distance < 0.0 for o in outcomes),
         'limit_violations': sum(o.limit_violation > 0.0 for o in outcomes),
-        'path_median': float(np.median([o.path for o in reached])) if reached else None,
-        'time_median': float(np.median([o.time for o in reached])) if reached else None,
+        'path_median': _median([o.path for o in reached]),
+        'time_median': _median([o.time for o in reached]),
         'tick_us_median': float(np.median(np.concatenate(ticks))) if ticks else None,
         'tick_us_p99': float(np.percentile(np.concatenate(ticks), 99)) if ticks else None,
+        'tick_us_longest': float(max(tick.max() for tick in ticks)) if ticks else None,
+        'thought_median': _median([o.thought for o in reached]),
+        'path_ratio_median': _median(ratios),
+        'path_ratio_p90': float(np.percentile(ratios, 90)) if ratios else None,
         'min_distance_mm': _least([o.mesh for o in outcomes]),
         'min_capsule_distance_mm': _least([o.capsule for o in outcomes]),
     }
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None
 
 
 def _least(approaches: Sequence[Approach]) -> float | None:

@@ -1,7 +1,8 @@
-"""Servoing to a goal: the twist is proportional to what is left, as NEO does (Haviland 2021).
+"""Runs to a goal: by a twist in proportion to what is left (NEO, Haviland 2021), or as a target.
 
 All methods get the same twist at every tick. It takes position and orientation to the goal in
-proportion: on the line from where the tip is.
+proportion: on the line from where the tip is. Or this package's planner gets the goal itself as
+its target, and finds its own way.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ _GAIN = 2.0
 _SPEED, _ANGULAR_SPEED = 0.25, 1.0
 # The goal is reached within these [m, rad].
 _NEAR, _NEAR_ANGLE = 0.005, 0.02
-# An arm that has moved less than this in that time will not go on [rad, s].
-_STANDING, _PATIENCE = 1e-3, 3.0
+# An arm that has moved less than this in that time will not go on [rad, s]; with a target it may
+# still think.
+_STANDING, _PATIENCE, _PATIENCE_WITH_TARGET = 1e-3, 3.0, 8.0
 
 
 class Run(NamedTuple):
@@ -42,7 +44,7 @@ class Run(NamedTuple):
     Attributes:
         postures: (k + 1, n) [rad, m].
         velocities: (k, n) between them [rad/s, m/s].
-        tick_us: (k,) the method's time for each [us].
+        tick_us: (k,) the method's CPU time for each [us].
         reached: whether the tip came to the goal.
         reason: what held the arm back last, if it did not.
     """
@@ -62,7 +64,10 @@ def servo_twist(robot: Robot, pose: Pose, goal: Pose) -> Array:
     return wanted / excess
 
 
-def servo(robot: Robot, problem: Problem, step: Step, longest: float = LONGEST) -> Run:
+def servo(
+    robot: Robot, problem: Problem, step: Step, longest: float = LONGEST, *,
+    to_target: bool = False,
+) -> Run:
     """Let a method take an ideal arm to a problem's goal.
 
     Args:
@@ -70,10 +75,11 @@ def servo(robot: Robot, problem: Problem, step: Step, longest: float = LONGEST) 
         problem: what to do.
         step: the method.
         longest: after which time it has to end [s].
+        to_target: whether the method goes to the goal by itself, and may stand and think.
     """
     goal, q = tip_pose(robot, problem.goal), np.array(problem.start)
     postures, velocities, ticks, reason, reached = [q], [], [], '', False
-    standing = round(_PATIENCE / DT)
+    standing = round((_PATIENCE_WITH_TARGET if to_target else _PATIENCE) / DT)
     for i in range(round(longest / DT)):
         pose = tip_pose(robot, q)
         error = pose_error(goal, pose, robot.in_tool)
@@ -82,9 +88,10 @@ def servo(robot: Robot, problem: Problem, step: Step, longest: float = LONGEST) 
         if reached or (i >= standing
                        and np.abs(q - postures[i - standing]).max() < _STANDING):
             break
-        begin = time.perf_counter()
-        dq, reason = step(q, servo_twist(robot, pose, goal))
-        ticks.append(time.perf_counter() - begin)
+        twist = servo_twist(robot, pose, goal)
+        begin = time.thread_time()
+        dq, reason = step(q, twist)
+        ticks.append(time.thread_time() - begin)
         q = q + DT * dq
         postures.append(q)
         velocities.append(dq)
@@ -93,15 +100,18 @@ def servo(robot: Robot, problem: Problem, step: Step, longest: float = LONGEST) 
 
 
 def planner_step(
-    robot: Robot, parameters: PlannerParameters, problem: Problem, filtered: bool = True,
+    robot: Robot, parameters: PlannerParameters, problem: Problem, filtered: bool = True, *,
+    to_target: bool = False,
 ) -> Step:
-    """Return this package's step for a problem."""
+    """Return this package's step for a problem, by twists or to the goal as a target."""
     planner, scene = Planner(robot, parameters, filtered=filtered), Scene.of(problem.obstacles)
     planner.prepare(scene)
+    target = tip_pose(robot, problem.goal) if to_target else None
 
     def step(q: Array, twist: Array) -> tuple[Array, str]:
-        result = planner.step(q, twist, scene, DT)
-        return result.dq, result.reason
+        result = planner.step(q, twist, scene, DT, target=target)
+        state = '' if result.progress is None else f'{result.progress.state.value}; '
+        return result.dq, state + result.reason
 
     return step
 

@@ -34,12 +34,16 @@ class Task(NamedTuple):
         methods: names.
         margin: that everybody keeps from obstacles [m].
         explain: whether to look into what was not reached.
+        to_target: whether this package's methods get the goal as a target.
+        optimum: whether to look for the shortest joint path from each way found.
         longest: run [s].
     """
 
     methods: tuple[str, ...]
     margin: float
     explain: bool = False
+    to_target: bool = False
+    optimum: bool = False
     longest: float = LONGEST
 
 
@@ -91,10 +95,7 @@ class Worker:
         fault = fault_of(self.robot, self.judge.capsules, problem, task.margin)
         if fault:
             return Result(fault)
-        result = Result('', {
-            name: self.judge.judge(problem, servo(
-                self.robot, problem, _step(self.robot, name, problem, task.margin), task.longest))
-            for name in task.methods})
+        result = Result('', {name: self._outcome(name, problem) for name in task.methods})
         if not task.explain or all(o.reached for o in result.outcomes.values()):
             return result
         from benchmark.problem_sets.explanation import free_way_exists, line_blocked
@@ -105,13 +106,27 @@ class Worker:
                        line_blocked=line_blocked(*around))
 
 
-def _step(robot: Robot, name: str, problem: Problem, margin: float) -> Step:
+    def _outcome(self, name: str, problem: Problem) -> Outcome:
+        """Run a method, judge it, and compare its way with the shortest."""
+        task = self.task
+        to_target = task.to_target and name in METHODS
+        run = servo(self.robot, problem, _step(self.robot, name, problem, task), task.longest,
+                    to_target=to_target)
+        outcome = self.judge.judge(problem, run)
+        if not (task.optimum and run.reached):
+            return outcome
+        from benchmark.problem_sets.shortest import path_ratio
+        return replace(outcome, path_ratio=path_ratio(self.robot, problem, run, task.margin))
+
+
+def _step(robot: Robot, name: str, problem: Problem, task: Task) -> Step:
     """Return the step of a method by name."""
     if name in METHODS:
-        parameters: PlannerParameters = replace(METHODS[name], clearance_margin=margin)
-        return planner_step(robot, parameters, problem, filtered=name not in UNFILTERED)
+        parameters: PlannerParameters = replace(METHODS[name], clearance_margin=task.margin)
+        return planner_step(robot, parameters, problem, filtered=name not in UNFILTERED,
+                            to_target=task.to_target)
     try:
-        return peer_step(robot, PEERS[name], problem, margin)
+        return peer_step(robot, PEERS[name], problem, task.margin)
     except ImportError as error:
         raise ProblemFileError(f'{name}: {error}; pip install mink pin-pink') from None
 

@@ -119,6 +119,7 @@ COMMAND_FRAMES = ('base', 'tool')
 # The last two are the paper's to the letter, without limits or a safety filter.
 METHODS = ('gradient_projection', 'dynamic_factor', 'variational')
 PAPER_METHODS = ('paper', 'paper_gradient_projection')
+TARGET_PATHS = ('free', 'straight')
 PATH_PRIORITIES = ('yield', 'strict', 'slide')
 
 
@@ -287,6 +288,12 @@ class PlannerParameters:
                     'an obstacle or a joint limit. It then follows the joint path that '
                     'variational plans. Longer gets past more of them, in slower ticks; 0 '
                     'leaves it at Eq. 2.')
+    target_path: str = parameter(
+        'free', choices=TARGET_PATHS, runtime=True,
+        group='target',
+        description='How the tip goes to a target_pose. free: by a short joint path around what '
+                    'is in the way. straight: in a line and about one axis; it stops where the '
+                    'line is blocked.')
     feedback_gain: float = parameter(
         10.0, low=0.0, high=100.0, unit='1/s', runtime=True,
         group='feedback',

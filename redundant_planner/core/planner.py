@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import gains_of, joint_weights, limits_of, robot_constants
 from redundant_planner.core.errors import known, ParameterError, StateError
-from redundant_planner.core.horizon.least_norm_path import PathJoints
 from redundant_planner.core.horizon.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.kernels import compiled, OutVector, Vector
@@ -31,12 +30,14 @@ from redundant_planner.core.redundancy.reference import followed_pose, Start
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import checked_pose, Pose
+from redundant_planner.core.safety.barriers import without_null_space
 from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, window_of
 from redundant_planner.core.safety.limits import can_stop, slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
 from redundant_planner.core.step_result import Nearest, StepResult
-from redundant_planner.core.target.straight_way import StraightWay
+from redundant_planner.core.target.free_way import JointMotion
+from redundant_planner.core.target.way import Way
 from redundant_planner.core.tick import Memory, Wish, wish, World
 
 Array = npt.NDArray[np.float64]
@@ -80,7 +81,7 @@ class Planner:
     The same sequence of inputs gives the same sequence of outputs. Between ticks it remembers:
     the last tick (its velocity, the reference pose, how much of the path was followed), when the
     links were last measured against each other, the obstacles near the arm (`ObstacleWatch`),
-    the joint path ahead (`LookAhead`), the way to its target (`StraightWay`) and the turn that
+    the joint path ahead (`LookAhead`), the way to its target (`Way`) and the turn that
     evades something (`Evasion`).
     """
 
@@ -128,9 +129,7 @@ class Planner:
         self._links = self._never_measured()
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
-        self._way = StraightWay(
-            robot, limits, PathJoints(constants.scaling, limits.positions[1], limits.positions[0]),
-            parameters.limits_linear_speed, parameters.limits_angular_speed)
+        self._way = Way(robot, parameters, limits, constants)
         self._evasion = Evasion(robot, parameters)
         self._watch = watch
         drive = parameters.drive_lag, parameters.drive_dead_time
@@ -226,15 +225,21 @@ class Planner:
 
         # Aim: at the target, out of the course of what moves, and along the joint path ahead.
         start = Start(arm, last.reference or pose, command, last.dq, dt)
+        joints: JointMotion | None = None
         if target is None:
             self._way.reset()
         else:
-            command, ahead = self._way.command(
+            command, ahead, joints = self._way.aim(
                 start, target, self.robot.full_twist(last.followed),
-                0.5 * (self._mean.ticks - 1) * dt)
+                0.5 * (self._mean.ticks - 1) * dt, self._watch.everywhere)
             start, commanded = start._replace(command=command), bool(command.any())
-        turn = self._turn(start, around)
-        path = self._look_ahead.velocity(start, around.ahead, ahead, self._busy)
+        turn, path = self._turn(start, around), None
+        if joints is None:
+            path = self._look_ahead.velocity(start, around.ahead, ahead, self._busy)
+        else:
+            # What the joints do is given: the tip's path is not kept, nor its null space used.
+            self._look_ahead.reset()
+            start = start._replace(reference=pose)
 
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(
@@ -243,19 +248,26 @@ class Planner:
         desired = wish(start, world, self._links, self._constants, self._limits, self._gains)
 
         # Guard: every limit and barrier, docs/safety.md.
-        crowded = self._switch(desired, around, commanded, dt)
+        crowded = joints is None and self._switch(desired, around, commanded, dt)
         result, reason = Filtered.untouched(desired.dq), ''
-        if self._filtered and not desired.admissible:
-            result = self._filter(desired, start)
+        if joints is not None:
+            desired = desired._replace(dq=joints.velocity + joints.feedback)
+            result = Filtered.untouched(desired.dq)
+        if self._filtered and (joints is not None or not desired.admissible):
+            result = self._filter(desired, start, joints)
             reason = self._reason(result, desired, around, commanded, dt)
-        fallbacks = self._fallbacks(result, desired, path is None, crowded)
+        fallbacks = self._fallbacks(result, desired, path is None and joints is None, crowded)
         jerk_kept = self._mean.ticks >= self._ticks(dt)
         reasons = [*fallbacks, reason] if reason else fallbacks
         if not jerk_kept:
             reasons = [*reasons, 'jerk gives way to a clearance']
 
         # Remember: where the tip should be, and how fast the arm is.
-        followed, reached = self._followed(result, desired, arm.jacobian, dt)
+        if joints is None:
+            followed, reached = self._followed(result, desired, arm.jacobian, dt)
+        else:
+            followed, reached = arm.jacobian @ result.dq, None
+            self._way.went_on(result, dt)
         sent = self._mean.take(result.dq)
         self._observer.commanded(sent, dt)
         self._last = _LastTick(
@@ -379,20 +391,31 @@ class Planner:
             fallbacks.append('the joint path ahead was improved in part')
         return fallbacks
 
-    def _filter(self, desired: Wish, start: Start) -> Filtered:
+    def _filter(
+        self, desired: Wish, start: Start, joints: JointMotion | None,
+    ) -> Filtered:
         """Return the velocity nearest to the desired one that breaks no limit and no barrier."""
         p, task, limits = self._parameters, desired.task, self._limits
         if desired.unseen_share < 1.0:
             limits = limits._replace(velocity_max=slowed_limits(
                 start.previous, limits.velocity_max, limits.acceleration_max,
                 desired.unseen_share, start.dt))
-        request = Request(
-            desired.dq, start.arm.jacobian, task.commanded + task.feedback, task.feedback,
-            task.turning, start.arm.q, start.previous)
+        if joints is None:
+            request = Request(
+                desired.dq, start.arm.jacobian, task.commanded + task.feedback, task.feedback,
+                task.turning, start.arm.q, start.previous)
+            barriers = desired.barriers
+        else:
+            # A path of the joints is kept like one of the tip whose Jacobian is the identity.
+            request = Request(
+                desired.dq, np.eye(self.robot.n), desired.dq, joints.feedback,
+                np.zeros(self.robot.n), start.arm.q, start.previous)
+            barriers = without_null_space(desired.barriers)
         return safe_velocity(
-            request, limits, desired.barriers, weights=self._weights, gain=p.clearance_gain,
+            request, limits, barriers, weights=self._weights, gain=p.clearance_gain,
             may_yield=desired.intruded and p.path_priority != 'strict',
-            may_slide=p.path_priority == 'slide' and bool(start.command.any()), dt=start.dt)
+            may_slide=p.path_priority == 'slide' and joints is None and bool(
+                start.command.any()), dt=start.dt)
 
     def _followed(
         self, result: Filtered, desired: Wish, jacobian: Array, dt: float,

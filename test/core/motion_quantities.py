@@ -52,6 +52,11 @@ def time_lost(motion):
     return DT * sum(1.0 - result.scale for result in motion.results)
 
 
+def distance_left(motion):
+    """To the target at the end [m]."""
+    return motion.results[-1].progress.distance
+
+
 def effort(motion):
     """The squared joint speed integrated: what the shortest joint path has least of."""
     return DT * sum(result.dq @ result.dq for result in motion.results)

@@ -14,6 +14,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PAPER_METHODS
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import StepResult
 from redundant_planner.paper.method import PaperPlanner
 
@@ -68,6 +69,19 @@ def move(parameters, robot, start, twist, seconds, *, balls=(), known=False, pus
 def free(parameters):
     """The Panda's tip along a line, nothing near."""
     return move(parameters, 'panda', PANDA_READY, (0.0, 0.1, -0.05), 3.0)
+
+
+def to_a_target_behind_a_ball(parameters):
+    """The Panda's tip to a pose that a line leads to through a ball."""
+    robot, postures, results = ROBOTS['panda'], [np.array(PANDA_READY)], []
+    planner, arm = Planner(robot, parameters), robot.kinematics(np.array(PANDA_READY))
+    target = Pose(arm.tip_position + (0.0, 0.5, 0.0), arm.tip_rotation)
+    ball = Ball(tuple(arm.tip_position + (0.0, 0.3, 0.0)), 0.06)
+    scene = Scene.of([Obstacle('ball0', ball.at(0.0), np.full(3, ball.radius))])
+    for _ in range(round(5.0 / DT)):
+        results.append(planner.step(postures[-1], np.zeros(6), scene, DT, target=target))
+        postures.append(postures[-1] + DT * results[-1].dq)
+    return Motion(robot, np.array(postures), results, (ball,))
 
 
 def free_position(parameters):

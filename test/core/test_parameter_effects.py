@@ -13,6 +13,7 @@ from functools import cache
 from motion_quantities import (
     distance_at_first_evasion,
     distance_between_links,
+    distance_left,
     effort,
     fastest_joint,
     fastest_least_norm,
@@ -48,6 +49,7 @@ from parameter_scenarios import (
     pushed,
     pushed_far,
     stretching,
+    to_a_target_behind_a_ball,
     towards_a_ball,
     with_slow_drives,
 )
@@ -93,6 +95,7 @@ CASES = [
     Case('path_priority', 'strict', 'yield', into_the_forearm, smallest_distance, '+'),
     Case('path_priority', 'strict', 'yield', into_the_forearm, largest_path_error, '+'),
     Case('path_priority', 'yield', 'slide', held_up, time_lost, '-'),
+    Case('target_path', 'straight', 'free', to_a_target_behind_a_ball, distance_left, '-'),
     Case('drive_lag', 0.0, 0.06, with_slow_drives, largest_path_error, '-', DEAD_TIME),
     Case('drive_dead_time', 0.0, 0.04, with_slow_drives, largest_path_error, '-', LAG),
     Case('criteria_k_alpha', 0.2, 0.9, held_up, null_space_share, '+', EQ_2),

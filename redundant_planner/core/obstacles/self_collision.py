@@ -48,7 +48,7 @@ def link_distances(start: Array, end: Array, radii: Array, links: Indices) -> Li
         links: (p, 2) which links.
     """
     pairs = LinkPairs(np.empty(len(links)), np.empty((len(links), 2, 3)))
-    _link_distances(start, end, radii, links, *pairs)
+    write_link_distances(start, end, radii, links, *pairs)
     return pairs
 
 
@@ -75,7 +75,7 @@ def nearest_parameters(a: float, b: float, c: float, e: float, f: float) -> tupl
 
 
 @compiled
-def _link_distances(
+def write_link_distances(
     start: Matrix, end: Matrix, radii: Vector, links: IndexPairs, distance: OutVector,
     points: OutStack,
 ) -> None:
@@ -195,7 +195,7 @@ def near_links(
     near, found = np.empty(count, np.intp), 0
     points = np.empty((count, 2, 3))
     if not settled:
-        _link_distances(arm.start, arm.end, pairs.radii, pairs.links, known, points)
+        write_link_distances(arm.start, arm.end, pairs.radii, pairs.links, known, points)
         known_at[:] = q
         for pair in range(count):
             if known[pair] <= _way(bounds[pair], reach):

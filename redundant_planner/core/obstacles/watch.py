@@ -7,10 +7,12 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.obstacles.contacts import AllowedContacts
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.nearby import (
     everything,
     FEW,
     Kept,
+    MOST_NEAR,
     Surroundings,
     surroundings,
 )
@@ -55,6 +57,7 @@ class ObstacleWatch:
     def reset(self) -> None:
         """Forget what was chosen, and for which posture."""
         self._around: Surroundings | None = None
+        self._everywhere: tuple[Scene, InflatedObstacles] | None = None
         self.chose = self._prepared = False
         # Of the last tick: where the arm was, and the tick's length.
         self._last: tuple[Kinematics, float] | None = None
@@ -83,6 +86,21 @@ class ObstacleWatch:
         around = self._surroundings(scene, arm, previous, dt)
         self.chose, self._prepared = self.chose or self._prepared, False
         return around
+
+    def everywhere(self) -> InflatedObstacles:
+        """Return the obstacles of the last `look`, wherever they are; of very many the nearest.
+
+        The same object while nothing changes.
+        """
+        around = self._around
+        assert around is not None
+        if around.complete:
+            return around.maps
+        if self._everywhere is None or self._everywhere[0] is not around.scene:
+            scene = around.scene
+            chosen = around.near if len(scene.names) > MOST_NEAR else np.arange(len(scene.names))
+            self._everywhere = scene, self._kept_from(scene).inflated(scene, chosen)
+        return self._everywhere[1]
 
     def _surroundings(
         self, scene: Scene, arm: Kinematics, previous: Array, dt: float,

@@ -26,7 +26,7 @@ _MOST_CAPSULES = 500
 # share of them do so by construction; links two joints apart that never get nearer than this [m]
 # cannot collide.
 _SAMPLED_POSTURES = 500
-_LARGEST_OVERLAP_SHARE = 0.1
+_LARGEST_OVERLAP_SHARE = 0.25
 _NEVER_NEARER = 0.02
 # How many of them decide about what the hand holds, while the arm may be moving.
 _POSTURES_OF_PAYLOAD = 100

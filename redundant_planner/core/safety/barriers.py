@@ -303,6 +303,15 @@ def self_motion_row(
     return at + 1
 
 
+def without_null_space(barriers: Barriers) -> Barriers:
+    """Return the rows that count where no path of the tip is kept: they come first."""
+    count = int(np.count_nonzero(barriers.kind < min(SINGULARITY, SELF_MOTION)))
+    return Barriers(
+        barriers.gradient[:count], barriers.time_derivative[:count], barriers.value[:count],
+        barriers.spare[:count], barriers.kind[:count], barriers.first[:count],
+        barriers.second[:count])
+
+
 @kernel
 def is_intruded(near: NearPairs, maps: InflatedObstacles, turn: Turn) -> bool:
     """Return whether an obstacle moves towards the arm, or the arm was found too close to it."""

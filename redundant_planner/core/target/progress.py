@@ -9,6 +9,7 @@ from typing import NamedTuple
 class TargetState(Enum):
     """What the arm does about its target."""
 
+    THINKING = 'thinking'
     MOVING = 'moving'
     REACHED = 'reached'
     BLOCKED = 'blocked'

@@ -30,6 +30,9 @@ Array = npt.NDArray[np.float64]
 # Nodes of the way at which the joints are looked at, and how often that is done again [s].
 _NODES = 12
 _REFRESH = 0.1
+# The end of a way is not looked at again: the steps to its nodes would be mostly what the posture
+# is beside the line [s at full speed].
+_SHORT = 0.02
 # Another target has the joints looked at again at once if it changes the way by more than this
 # share of its length.
 _NEWS = 0.1
@@ -47,8 +50,10 @@ _REACHED = 2e-4
 # An arm is blocked whose way has become shorter by less than this share of full speed for this
 # long [s].
 _LEAST_SPEED, _PATIENCE = 0.01, 0.5
-# A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
-_STANDSTILL = 1e-12
+# With so little left an arm is not stuck [s at full speed].
+_AT_END = 1e-3
+# A squared length of 0 counts as this, for the sake of a division.
+_TINY = 1e-12
 
 
 class _Looked(NamedTuple):
@@ -77,8 +82,7 @@ class StraightWay:
     """
 
     def __init__(
-        self, robot: Robot, limits: Limits, joints: PathJoints, linear_max: float,
-        angular_max: float,
+        self, robot: Robot, limits: Limits, joints: PathJoints, full_speed: Array,
     ) -> None:
         """Prepare for an arm.
 
@@ -86,22 +90,40 @@ class StraightWay:
             robot: the arm.
             limits: of its joints.
             joints: how they are weighed and bounded.
-            linear_max, angular_max: the tip's highest speeds [m/s, rad/s].
+            full_speed: highest linear and angular speed of the tip [m/s, rad/s].
         """
         self._robot, self._limits, self._joints = robot, limits, joints
-        self._full = np.repeat((max(linear_max, _STANDSTILL), max(angular_max, _STANDSTILL)), 3)
+        self._full = np.repeat(full_speed, 3)
         self._controlled = robot.full_twist(np.ones(robot.m))
         self._target = MovingTarget()
         self.reset()
 
     def reset(self) -> None:
-        """Forget the way."""
-        self.left = self._seconds = 0.0
+        """Forget the target."""
         self._target.reset()
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the way, but not how the target moves."""
+        self.left = self._seconds = 0.0
         self._looked: _Looked | None = None
         self._age = 0.0
         self._left_then = math.inf  # when the arm last got on
         self._stuck = 0.0  # for so long since then [s]
+
+    @property
+    def follows_stream(self) -> bool:
+        """Whether the target is a stream of poses."""
+        return self._target.moving
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the way has not become shorter for a while, before its end."""
+        return self._stuck >= _PATIENCE and self.left > _AT_END
+
+    def sense(self, target: Pose, dt: float) -> Pose:
+        """Return where a target is now, see `MovingTarget.at`."""
+        return self._target.at(target, dt)
 
     def command(
         self, start: Start, target: Pose, followed: Array, delay: float,
@@ -110,11 +132,10 @@ class StraightWay:
 
         Args:
             start: of the tick.
-            target: in the base frame.
+            target: in the base frame, from `sense`.
             followed: (6,) the twist of the last tick as far as it was followed, in command axes.
             delay: of the commands behind what is planned [s].
         """
-        target = self._target.at(target, start.dt)
         if self._target.moving:
             target = se3.integrate(target, self._target.velocity, delay, False)
         # Base axes: a line is straight there.
@@ -190,25 +211,25 @@ class StraightWay:
     def _look(self, start: Start, target: Pose, away: Array, now: Array) -> _Looked:
         """Look along the way, if that is due."""
         looked = self._looked
-        if looked is not None and self._age < _REFRESH:
+        if looked is not None and (self._age < _REFRESH or self.left < _SHORT):
             moved = self._length(se3.pose_error(target, looked.target, False))
             if self._target.moving or moved <= _NEWS * self.left:
                 return looked
         self._age = 0.0
         robot, reference = self._robot, start.reference
-        shares = np.linspace(0.0, 1.0, _NODES + 1)[1:]
+        # From where the tip should be: what it is beside that is none of the way.
+        shares = np.linspace(0.0, 1.0, _NODES + 1)
         ways = [se3.displaced(reference, share * away, False) for share in shares]
         poses = Poses(np.array([pose.position for pose in ways]),
                       np.array([pose.rotation for pose in ways]))
-        q = start.arm.q
-        nodes = least_norm_path(robot, q, poses, self._joints)
+        nodes = least_norm_path(robot, start.arm.q, poses, self._joints)
         profile = profile_of(
-            np.vstack((q, nodes)), max(self.left, _OVER), self._limits.velocity_max,
+            nodes, max(self.left, _OVER), self._limits.velocity_max,
             self._limits.acceleration_max)
-        along = float(now @ away) / max(float(away @ away), _STANDSTILL) * self.left
+        along = float(now @ away) / max(float(away @ away), _TINY) * self.left
         times, f = profile.times(min(max(along, 0.0), 1.0))
         twists = np.array([self._in_command_axes(speed / max(self.left, _OVER) * away, pose)
-                           for speed, pose in zip(f, (reference, *ways))])
+                           for speed, pose in zip(f, ways)])
         self._looked = _Looked(profile, target, Preview(times, twists), times,
                                self._miss(nodes, ways[-1]))
         return self._looked

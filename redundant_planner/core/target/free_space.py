@@ -1,0 +1,174 @@
+"""Where the arm may be: how much room its links have at postures, and on the way between two.
+
+No point of a link moves further in a motion Δq than Σ_j b_j |Δq_j|, with the lever arm bounds b.
+A motion is therefore free where every link has, at both ends together, more room than that.
+Otherwise the posture half way is looked at, and so on (Schwarzer, Saha and Latombe 2005).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.constants import RobotConstants
+from redundant_planner.core.horizon.least_norm_path import PathJoints
+from redundant_planner.core.kernels import entry, IndexPairs, Stack, Vector
+from redundant_planner.core.obstacles.clearance import is_contact, measure, Pairs
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
+from redundant_planner.core.obstacles.self_collision import write_link_distances
+from redundant_planner.core.robot.model import Robot
+
+Array = npt.NDArray[np.float64]
+
+# What has more room than this need not be measured exactly [m].
+_AMPLE = 0.3
+# Pieces of a motion shorter than this are not halved any more [rad, m].
+_FINEST = 0.02
+# How many postures are looked at in one piece of work.
+AT_ONCE = 5
+# What a posture costs to look at besides its distances, in distances.
+_COST_OF_POSTURE = 60
+
+
+class Place(NamedTuple):
+    """A posture, and the room there.
+
+    Attributes:
+        q: (n,) [rad, m].
+        room: (k,) see `FreeSpace`.
+    """
+
+    q: Array
+    room: Array
+
+
+class FreeSpace:
+    """The postures at which one arm is free, among obstacles as they are at one moment.
+
+    Room is what a link has to the nearest obstacle, and what pairs of links have to each other,
+    margins taken off: k entries, links first [m].
+
+    Attributes:
+        robot: the arm.
+        joints: how they are weighed and bounded.
+        spent: the work done so far, in distances.
+    """
+
+    def __init__(
+        self, robot: Robot, constants: RobotConstants, joints: PathJoints,
+        obstacles: InflatedObstacles,
+    ) -> None:
+        """Take a look at obstacles that are inflated for links with their margin."""
+        self.robot, self.joints, self.spent = robot, joints, 0
+        self._constants, self._obstacles = constants, obstacles
+        self._reach = np.vstack((constants.lever_arm_bounds, constants.self_lever_arm_bounds))
+        self._fixed = ~self._reach.any(axis=1)
+        self._forgiven = np.zeros(len(self._reach))
+        self._cost = obstacles.smallest.size + len(constants.self_pairs) + _COST_OF_POSTURE
+
+    def spend(self, postures: int) -> None:
+        """Note work that was done on postures besides measuring them."""
+        self.spent += postures * _COST_OF_POSTURE // 2
+
+    def rooms(self, postures: Array) -> Array:
+        """Return the room (N, k) at postures (N, n); infinite for links that cannot move."""
+        arms = self.robot.kinematics_along(postures)
+        self.spent += len(postures) * self._cost
+        found = _rooms(
+            arms.segment_start, arms.segment_end, self._obstacles, self._constants.radii,
+            self._constants.self_pairs, _AMPLE)
+        found[:, self._fixed] = np.inf
+        return np.asarray(found + self._forgiven)
+
+    def begin_at(self, q: Array) -> Place:
+        """Return a posture (n,) with its room, to start from.
+
+        Links found closer to each other than their margin may stay so, only not get closer: that
+        counts as no room from here on.
+        """
+        self._forgiven[:] = 0.0
+        room = self.rooms(q[None])[0]
+        pairs = slice(len(self._constants.lever_arm_bounds), None)
+        self._forgiven[pairs] = np.maximum(-room[pairs], 0.0)
+        return Place(q, room + self._forgiven)
+
+    def nearest_obstacle(self, postures: Array) -> float:
+        """Return the least room that any link has to an obstacle at postures (N, n) [m]."""
+        links = len(self._constants.lever_arm_bounds)
+        return float(self.rooms(postures)[:, :links].min(initial=np.inf))
+
+    def place(self, q: Array) -> Place:
+        """Return a posture (n,) with its room."""
+        return Place(q, self.rooms(q[None])[0])
+
+    def is_free_between(
+        self, one: Place, other: Place, needed: float,
+    ) -> Generator[None, None, bool]:
+        """Return whether a straight motion of the joints is free whose ends are.
+
+        It pauses after each piece of work.
+
+        Args:
+            one, other: its ends.
+            needed: room; where an end has less, the motion may have as little [m].
+        """
+        least = np.minimum(needed, np.minimum(one.room, other.room))
+        step = other.q - one.q
+        way, size = self._reach @ np.abs(step), float(np.abs(step).max(initial=0.0))
+        begin, end = np.zeros(1), np.ones(1)
+        before, after = one.room[None], other.room[None]
+        while True:
+            span = end - begin
+            narrow = (span[:, None] * way > before + after).any(axis=1) & (
+                span * size > _FINEST)
+            if not narrow.any():
+                return True
+            begin, end, before, after = (
+                begin[narrow], end[narrow], before[narrow], after[narrow])
+            middle = 0.5 * (begin + end)
+            rooms = np.empty_like(before)
+            for first in range(0, len(middle), AT_ONCE):
+                part = slice(first, first + AT_ONCE)
+                rooms[part] = self.rooms(one.q + middle[part, None] * step)
+                if (rooms[part] < least).any():
+                    return False
+                yield
+            begin, end = np.concatenate((begin, middle)), np.concatenate((middle, end))
+            before, after = np.vstack((before, rooms)), np.vstack((rooms, after))
+
+    def distance(self, one: Array, other: Array) -> Array:
+        """Return how far postures (…, n) are apart, joint weights included."""
+        apart = (other - one) / self.joints.scaling
+        return np.asarray(np.sqrt((apart * apart).sum(axis=-1)))
+
+
+@entry
+def _rooms(
+    start: Stack, end: Stack, obstacles: InflatedObstacles, radii: Vector, links: IndexPairs,
+    ample: float,
+) -> Array:
+    """Return the room (N, c + p) of links at N postures.
+
+    Args:
+        start, end: (N, c, 3) their segments [m].
+        obstacles: for links with their margin.
+        radii: (c,) with half the margin between links [m].
+        links: (p, 2) which of them can collide.
+        ample: more than this need not be measured exactly [m].
+    """
+    count, capsules = start.shape[0], start.shape[1]
+    rooms = np.full((count, capsules + len(links)), np.inf)
+    shape = obstacles.smallest.shape
+    pairs = Pairs(np.empty(shape), np.empty(shape), np.empty(shape))
+    points = np.empty((len(links), 2, 3))
+    for i in range(count):
+        measure(obstacles, start[i], end[i], 0.0, ample, pairs)
+        for link in range(capsules):
+            for obstacle in range(shape[1]):
+                if not is_contact(obstacles, link, obstacle):
+                    rooms[i, link] = min(rooms[i, link], pairs.distance[link, obstacle])
+        write_link_distances(start[i], end[i], radii, links, rooms[i, capsules:], points)
+    return rooms

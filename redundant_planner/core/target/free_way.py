@@ -1,0 +1,278 @@
+"""To a target by a short joint path, wherever that takes the tip.
+
+A standing arm thinks: it looks for ways to any posture with the tip at the target, a little in
+each tick, until they do not become shorter any more or its patience is over. The shortest is made
+smooth, and the joints follow it as fast as they may. Where something gets in the way, or another
+target comes, the arm thinks again while it brakes, and goes on from where it would stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.redundancy.reference import Start
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.target.free_space import AT_ONCE, FreeSpace
+from redundant_planner.core.target.joint_curve import JointCurve, resampled
+from redundant_planner.core.target.joint_way import JointWay
+from redundant_planner.core.target.path_search import PathSearch
+
+Array = npt.NDArray[np.float64]
+
+# Work of a tick, in distances: a millisecond.
+_WORK = 1500
+# How long it looks for a way, at most, and how many attempts are enough [s].
+_LONGEST, _ROUNDS = 1.0, 4
+# Distances between control points of the curve, in turn until it is free [rad].
+_SPACINGS = (0.2, 0.1, 0.05, 0.025)
+# Postures of a curve's span that are looked at; those of a way that is followed, to see whether it
+# is still free, and how often [s].
+_LOOKS_PER_SPAN, _LOOKS_AHEAD, _LOOK_PERIOD = 2, 12, 0.1
+# A search that has found nothing begins anew among other obstacles, at most this often [s].
+_NEWS_PERIOD = 0.5
+# An arm this near to where it comes to rest stands [rad, m].
+_STANDS = 1e-3
+# Share of its room that a way keeps in its corners, and what it may have less than its ends [m].
+_CORNERS, _SLACK = 0.5, 1e-4
+# What a way that is followed may be inside the margin before it counts as blocked [m].
+_INSIDE = 2e-3
+# The arm thinks again if it is this far from its way, or pushed so far while it thinks [rad, m].
+_STRAYED, _PUSHED = 0.1, 0.02
+# A target that moves by more is another one [m, rad], and one this near is gone to in a line.
+_ANOTHER, _NEAR, _NEAR_ANGLE = 1e-3, 0.02, 0.1
+# An arm is stuck whose way has become shorter by less than this share of full speed for this
+# long [s].
+_LEAST_SPEED, _PATIENCE = 0.01, 0.5
+# Largest speed of the feedback to the way [rad/s, m/s].
+_FEEDBACK_SPEED = 0.2
+
+
+class JointMotion(NamedTuple):
+    """What the joints shall do in a tick.
+
+    Attributes:
+        velocity: (n,) along the way [rad/s, m/s].
+        feedback: (n,) back to it.
+    """
+
+    velocity: Array
+    feedback: Array
+
+
+class Stretch(Enum):
+    """What a free way is up to."""
+
+    THINKING = 'thinking'
+    FOLLOWING = 'following'
+    LINE = 'line'  # the rest, or what is near, is gone to in a line
+
+
+class FreeWay:
+    """The free way of one arm to its target.
+
+    Attributes:
+        stretch: what it is up to.
+        out_of_reach: whether no posture has the tip at the target, as far as it knows.
+        tried_line: whether it has found no way, and let the tip go as near as a line takes it.
+    """
+
+    def __init__(
+        self, robot: Robot, limits: Limits, scaling: Array, full_speed: Array, gain: float,
+    ) -> None:
+        """Prepare for an arm.
+
+        Args:
+            robot: the arm.
+            limits: of its joints.
+            scaling: (n,) see `PathJoints`.
+            full_speed: highest linear and angular speed of the tip [m/s, rad/s].
+            gain: of the feedback to the way [1/s].
+        """
+        self._robot, self._limits, self._scaling = robot, limits, scaling
+        self._full_speed, self._gain = full_speed, gain
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the target and the way."""
+        self.stretch, self.out_of_reach = Stretch.LINE, False
+        self._target: Pose | None = None
+        self._way: JointWay | None = None
+        self._thought: Generator[Array | None, None, None] | None = None
+        self._found: Array | None = None  # control points (k, n) of a curve
+        self._space: FreeSpace | None = None
+        self._age = 0.0  # of the thought [s]
+        self.tried_line = False
+        self._look_age = 0.0
+        self._left_then, self._stuck = 0.0, 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Time until its end, as far as it is known [s]."""
+        return self._way.seconds if self._way is not None else 0.0
+
+    def motion(
+        self, start: Start, target: Pose, space: Callable[[], FreeSpace], *, stuck: bool,
+    ) -> JointMotion | None:
+        """Return what the joints shall do; None where the tip shall go on in a line.
+
+        Args:
+            start: of the tick.
+            target: in the base frame.
+            space: returns where the arm may be now, the same object while nothing changes.
+            stuck: whether the tip is stuck on the line.
+        """
+        if self._target is None or self._is_another(target):
+            self.reset()
+            self._target = target
+            if not self._is_near(start):
+                self._think(start, space())
+        elif self._must_think(start, space, stuck):
+            self._think(start, space())
+        elif self.stretch is Stretch.THINKING:
+            self._go_on_thinking(start, space)
+        elif self.stretch is Stretch.FOLLOWING and self._way is not None and self._way.over:
+            self.stretch = Stretch.LINE
+        if self.stretch is Stretch.LINE or self._way is None:
+            return None
+        here, velocity = self._way.velocity(start.dt)
+        back = self._gain * (here - start.arm.q)
+        return JointMotion(velocity, np.clip(back, -_FEEDBACK_SPEED, _FEEDBACK_SPEED))
+
+    def went_on(self, followed: float, residual: float, dt: float) -> None:
+        """Note which share of the tick's motion was followed, and of the last one's remained."""
+        if self._way is None:
+            return
+        self._way.went_on(followed, residual, dt)
+        if abs(self._left_then - self._way.left) > _LEAST_SPEED * _PATIENCE:
+            self._left_then, self._stuck = self._way.left, 0.0
+        else:
+            self._stuck += dt
+
+    def _is_another(self, target: Pose) -> bool:
+        assert self._target is not None
+        return float(np.abs(se3.pose_error(target, self._target, False)).max()) > _ANOTHER
+
+    def _is_near(self, start: Start) -> bool:
+        assert self._target is not None
+        away = self._robot.full_twist(self._robot.task_rows(
+            se3.pose_error(self._target, start.reference, self._robot.in_tool)))
+        return bool(np.linalg.norm(away[:3]) < _NEAR and np.linalg.norm(away[3:]) < _NEAR_ANGLE)
+
+    def _strayed(self, start: Start) -> float:
+        """Return how far any joint is from where it should be [rad, m]."""
+        assert self._way is not None
+        return float(np.abs(self._way.posture - start.arm.q).max())
+
+    def _must_think(
+        self, start: Start, space: Callable[[], FreeSpace], stuck: bool,
+    ) -> bool:
+        """Return whether it cannot go on as it does: stuck, pushed aside, or blocked ahead."""
+        if self.stretch is Stretch.LINE or self._way is None:
+            return stuck and not self.out_of_reach
+        if self.stretch is Stretch.THINKING:
+            return self._strayed(start) > _PUSHED
+        if self._stuck >= _PATIENCE or self._strayed(start) > _STRAYED:
+            return True
+        self._look_age += start.dt
+        if self._look_age < _LOOK_PERIOD or space() is self._space:
+            return False
+        self._look_age, self._space = 0.0, space()
+        return self._space.nearest_obstacle(self._way.ahead(_LOOKS_AHEAD)) < -_INSIDE
+
+    def _think(self, start: Start, space: FreeSpace) -> None:
+        """Begin to look for a way from where the arm comes to rest."""
+        assert self._target is not None
+        stop = float(np.abs(start.previous / self._limits.acceleration_max).max())
+        rest = np.clip(start.arm.q + 0.5 * stop * start.previous,
+                       self._limits.positions[1], self._limits.positions[0])
+        self._follow(np.array((start.arm.q, rest)), _SPACINGS[0], start.previous)
+        self.stretch, self._age, self._rest = Stretch.THINKING, 0.0, rest
+        self._begin(space)
+
+    def _begin(self, space: FreeSpace) -> None:
+        """Begin a search."""
+        assert self._target is not None
+        self._space, self._look_age, self._found = space, 0.0, None
+        self._search = PathSearch(space, self._rest, self._target)
+        self._thought = self._thoughts(space)
+
+    def _go_on_thinking(self, start: Start, space: Callable[[], FreeSpace]) -> None:
+        """Look for a way a little further; follow it when it has been found."""
+        assert self._thought is not None and self._space is not None and self._way is not None
+        self._age += start.dt
+        self._look_age += start.dt
+        if self._look_age > _NEWS_PERIOD and self._search.way is None and (
+                space() is not self._space):
+            self._begin(space())
+        polygon = self._found
+        if polygon is None:
+            until = self._space.spent + (_WORK if self._age < _LONGEST else _WORK // 4)
+            while self._found is None and self._space.spent < until:
+                self._found = next(self._thought)
+        else:  # this tick has not worked yet
+            now = space()
+            looked_at = polygon[::max(len(polygon) // _LOOKS_AHEAD, 1)]
+            if now is not self._space and now.nearest_obstacle(looked_at) < -_INSIDE:
+                self._think(start, now)
+                return
+            if np.abs(self._way.posture - polygon[0]).max() > _STANDS:
+                polygon = np.vstack((self._way.posture, polygon))
+            self._follow(polygon, 0.0, start.previous)
+            self.stretch, self.tried_line = Stretch.FOLLOWING, False
+            return
+        if not self.tried_line and self._search.way is None and (
+                self._age >= _LONGEST or self.out_of_reach):
+            # As near as it gets.
+            self.stretch, self.tried_line = Stretch.LINE, True
+
+    @property
+    def in_vain(self) -> bool:
+        """Whether it has looked for a way for as long as it may, and found none."""
+        return (self.stretch is Stretch.THINKING and self._age >= _LONGEST
+                and self._search.way is None)
+
+    def _thoughts(self, space: FreeSpace) -> Generator[Array | None, None, None]:
+        """Yield None while looking for a way, and then the control points (k, n) of a curve."""
+        found = self._search
+        for _ in found.work():
+            self.out_of_reach = found.out_of_reach
+            yield None
+            if found.way is not None and (
+                    found.straight or found.rounds >= _ROUNDS or self._age >= _LONGEST):
+                break
+        assert found.way is not None
+        polygon = np.array([place.q for place in found.way])
+        # The curve cuts corners.
+        least = np.minimum(_CORNERS * found.room, np.minimum(
+            found.way[0].room, found.way[-1].room) - _SLACK)
+        for spacing in _SPACINGS:
+            points = resampled(polygon, self._scaling, spacing)
+            if len(polygon) == 2:
+                break
+            curve, free = JointCurve(points), True
+            at = np.linspace(0.0, curve.spans, _LOOKS_PER_SPAN * curve.spans + 1)
+            for first in range(0, len(at), AT_ONCE):
+                free = free and not (
+                    space.rooms(curve.at(at[first:first + AT_ONCE])) < least).any()
+                yield None
+                if not free:
+                    break
+            if free:
+                break
+        yield points
+
+    def _follow(self, points: Array, spacing: float, velocity: Array) -> None:
+        """Take a way's control points (k, n), or its corners and their spacing."""
+        if spacing:
+            points = resampled(points, self._scaling, spacing)
+        self._way = JointWay(
+            self._robot, self._limits, self._full_speed, JointCurve(points), velocity)
+        self._left_then, self._stuck, self._look_age = self._way.left, 0.0, 0.0

@@ -1,0 +1,124 @@
+"""Postures with the tip at a pose: from random ones, and on along the null space from each."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.horizon.least_norm_path import least_norm_path
+from redundant_planner.core.horizon.poses_ahead import Poses
+from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.free_space import FreeSpace, Place
+
+Array = npt.NDArray[np.float64]
+
+# Steps of the way to the pose, and steps that settle there, so often at most.
+_APPROACH, _SETTLE, _SETTLINGS = 6, 8, 3
+# A posture has settled after a step smaller than this [rad, m], and is at the pose within this
+# [m, rad].
+_SETTLED, _AT_POSE = 1e-6, 1e-5
+# Steps along the null space to either side, how many at once, and their size [rad, m].
+_ASIDE, _AT_ONCE, _ASIDE_SIZE = 10, 5, 0.15
+# How near to the pose these have to end [m, rad]: the tip goes the rest in a line.
+_NEAR_POSE = 1e-3
+# Every other guess is this far from where the arm is, about [rad, m].
+_SPREAD = 0.5
+# Joints without limits are guessed this far about where they are [rad].
+_TURN = math.pi
+
+
+def goal_postures(
+    space: FreeSpace, q: Array, pose: Pose, random: np.random.Generator,
+) -> Generator[list[Place] | None, None, None]:
+    """Yield postures, some after each piece of work and often none; None after each guess.
+
+    They need not be free.
+
+    The first guess is where the arm is, then near it and anywhere in turn.
+
+    Args:
+        space: where the arm may be.
+        q: (n,) where it is.
+        pose: that the tip shall have.
+        random: the numbers.
+    """
+    joints = space.joints
+    low = np.maximum(joints.position_min, np.where(np.isfinite(joints.position_min), -np.inf,
+                                                   q - _TURN))
+    high = np.minimum(joints.position_max, np.where(np.isfinite(joints.position_max), np.inf,
+                                                    q + _TURN))
+    guess, guesses = q, 0
+    while True:
+        found = posture_at(space, guess, pose)
+        yield []
+        if found is not None:
+            yield _places(space, [found])
+            yield from _neighbours(space, found, pose, random)
+        guesses += 1
+        guess = (random.uniform(low, high) if guesses % 2 else
+                 np.clip(random.normal(q, _SPREAD), low, high))
+        yield None
+
+
+def posture_at(space: FreeSpace, guess: Array, pose: Pose) -> Array | None:
+    """Return a posture (n,) with the tip at a pose; None where a guess leads elsewhere."""
+    robot = space.robot
+    arm = robot.kinematics(guess)
+    tip = Pose(arm.tip_position, arm.tip_rotation)
+    away = se3.pose_error(pose, tip, False)
+    way = [se3.displaced(tip, share * away, False)
+           for share in np.linspace(0.0, 1.0, _APPROACH + 1)[1:]]
+    space.spend(_APPROACH + _SETTLE)
+    q = least_norm_path(robot, guess, _poses(way), space.joints)[-1]
+    for _ in range(_SETTLINGS):
+        nodes = least_norm_path(robot, q, _poses([pose] * _SETTLE), space.joints)
+        q = nodes[-1]
+        if np.abs(nodes[-1] - nodes[-2]).max() < _SETTLED:
+            break
+    return q if _apart(robot, q, pose) < _AT_POSE else None
+
+
+def _neighbours(
+    space: FreeSpace, q: Array, pose: Pose, random: np.random.Generator,
+) -> Generator[list[Place], None, None]:
+    """Yield the postures that lie along the null space from one (n,)."""
+    robot, joints, due = space.robot, space.joints, _poses([pose] * 2)
+    aside = random.normal(size=robot.n)
+    for way in (aside, -aside) if robot.n > robot.m else ():
+        at, postures = q, []
+        for step in range(1, _ASIDE + 1):
+            jacobian = robot.kinematics(at).jacobian
+            way = joints.scaling * null_space.project(
+                null_space.decompose(jacobian * joints.scaling), way / joints.scaling)
+            way /= max(math.sqrt(way @ way), _SETTLED)
+            at = least_norm_path(robot, at + _ASIDE_SIZE * way, due, joints)[-1]
+            postures.append(at)
+            space.spend(4)
+            if step % _AT_ONCE == 0:
+                yield _places(
+                    space, [at for at in postures if _apart(robot, at, pose) < _NEAR_POSE])
+                postures = []
+
+
+def _places(space: FreeSpace, postures: list[Array]) -> list[Place]:
+    """Return postures (n,) with their room."""
+    return [Place(*found) for found in zip(postures, space.rooms(np.array(postures)))
+            ] if postures else []
+
+
+def _apart(robot: Robot, q: Array, pose: Pose) -> float:
+    """Return how far the tip is from a pose at a posture (n,), on controlled axes [m, rad]."""
+    arm = robot.kinematics(q)
+    tip = Pose(arm.tip_position, arm.tip_rotation)
+    return float(np.abs(robot.task_rows(se3.pose_error(pose, tip, robot.in_tool))).max())
+
+
+def _poses(poses: list[Pose]) -> Poses:
+    return Poses(np.array([pose.position for pose in poses]),
+                 np.array([pose.rotation for pose in poses]))

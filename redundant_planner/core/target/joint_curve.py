@@ -1,0 +1,56 @@
+"""A smooth curve of postures along a polygon: a uniform cubic B-spline.
+
+It begins and ends at the polygon's ends and lies within the polygon's corners: the closer its
+control points, the closer it comes to them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+# The polynomials of a span in u: weights of four control points (rows: powers of u).
+_BASIS = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0],
+                   [-1.0, 3.0, -3.0, 1.0]]) / 6.0
+
+
+class JointCurve:
+    """A curve of postures over 0 … spans.
+
+    Attributes:
+        spans: how many pieces it has.
+    """
+
+    def __init__(self, points: Array) -> None:
+        """Take control points (k, n), two at least."""
+        # One more on either side, mirrored: so the curve reaches the ends, and is straight there.
+        points = np.vstack((2.0 * points[:1] - points[1:2], points,
+                            2.0 * points[-1:] - points[-2:-1]))
+        self.spans = len(points) - 3
+        windows = np.lib.stride_tricks.sliding_window_view(points, 4, axis=0)
+        self._powers = np.einsum('pk,snk->spn', _BASIS, windows)
+
+    def at(self, u: Array) -> Array:
+        """Return the postures (N, n) at parameters (N,)."""
+        u = np.asarray(u, dtype=float)
+        span = np.minimum(np.maximum(u.astype(np.intp), 0), self.spans - 1)
+        x = (u - span)[:, None]
+        one, two, three, four = self._powers[span].transpose(1, 0, 2)
+        return np.asarray(one + x * (two + x * (three + x * four)))
+
+
+def resampled(polygon: Array, scaling: Array, spacing: float) -> Array:
+    """Return points (k, n) along a polygon (c, n), no further apart than a spacing.
+
+    Args:
+        polygon: its corners.
+        scaling: (n,) of the joints' lengths, see `PathJoints`.
+        spacing: with joint weights [rad].
+    """
+    steps = np.diff(polygon, axis=0) / scaling
+    along = np.concatenate((np.zeros(1), np.cumsum(np.sqrt((steps * steps).sum(axis=1)))))
+    count = max(int(np.ceil(along[-1] / spacing)), 4)
+    at = np.linspace(0.0, along[-1], count + 1)
+    return np.array([np.interp(at, along, column) for column in polygon.T]).T

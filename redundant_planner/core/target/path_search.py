@@ -1,0 +1,225 @@
+"""The way from a posture to any that has the tip at a pose: two trees, then shortcuts.
+
+Trees grow from both ends towards random postures and each other (RRT-Connect, Kuffner and LaValle
+2000). What they find is shortened by straight motions between random points of it, and to other
+ends. The random numbers are always the same, and so is the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.free_space import FreeSpace, Place
+from redundant_planner.core.target.goal_postures import goal_postures
+
+Array = npt.NDArray[np.float64]
+Way = list[Place]
+
+# Room that ways have, in turn, but for their ends: much lets the arm go fast, little finds ways
+# through gaps [m]. A way with little counts as longer by this factor.
+_ROOMS, _PRICE_OF_GAPS = (0.01, 0.002), 1.3
+# An arm that is found closer than its margin may start on a way all the same, within this, and a
+# goal keeps so much [m].
+_INSIDE, _AT_GOAL = 2e-3, 1e-4
+# Guesses at goal postures before each attempt, and how many postures are enough.
+_GUESSES, _GOALS = 15, 24
+# Guesses without any posture after which a pose counts as out of reach.
+_GUESSES_OUT_OF_REACH = 60
+# A straight motion to a goal that is further than the nearest by this share is as good.
+_AS_GOOD = 1.05
+# Longest branch that is tried at once [rad, joint weights included].
+_BRANCH = 0.8
+# Nodes after which both trees are given up: at first, and at last.
+_FEWEST_NODES, _MOST_NODES = 500, 4000
+# Joints without limits are sampled this far about where they are [rad].
+_TURN = np.pi
+# Attempts at a shortcut, and how many in vain end them.
+_SHORTCUTS, _IN_VAIN = 150, 40
+# A shortcut must save this share of the way.
+_LEAST_GAIN = 1e-3
+
+
+class PathSearch:
+    """A search that goes on for ever, one attempt after the other.
+
+    Attributes:
+        way: the shortest way that is known, None if none is.
+        room: that it has [m].
+        straight: whether it is one straight motion to the nearest goal that is known.
+        rounds: how many attempts have ended since the first way was found.
+        out_of_reach: whether no posture with the tip at the pose is known after many guesses.
+    """
+
+    def __init__(self, space: FreeSpace, start: Array, pose: Pose) -> None:
+        """Prepare.
+
+        Args:
+            space: where the arm may be.
+            start: (n,) where the way begins.
+            pose: that the tip shall have at its end.
+        """
+        self.way: Way | None = None
+        self.room = self._price = np.inf
+        self.straight, self.rounds, self.out_of_reach = False, 0, False
+        self._space, self._start = space, space.begin_at(start)
+        self._goals: list[Place] = []
+        self._random = np.random.default_rng(0)
+        self._postures = goal_postures(space, start, pose, self._random)
+        self._guesses, self._reached = 0, False
+        joints = space.joints
+        bounded = np.isfinite(joints.position_max - joints.position_min)
+        self._low = np.where(bounded, joints.position_min, start - _TURN)
+        self._high = np.where(bounded, joints.position_max, start + _TURN)
+
+    def work(self) -> Generator[None, None, None]:
+        """Search, and pause after each piece of work."""
+        attempt = 0
+        while True:
+            yield from self._guess()
+            needed = _ROOMS[attempt % len(_ROOMS)]
+            most_nodes = min(_FEWEST_NODES * (1 + attempt), _MOST_NODES)
+            attempt += 1
+            if not self._goals or (self._start.room < -_INSIDE).any():
+                yield
+                continue
+            way = yield from self._connected(needed, most_nodes)
+            if way is not None:
+                yield from self._shortened(way, needed)
+            self.rounds += self.way is not None
+
+    def length(self, way: Way) -> float:
+        """Return how long a way is, joint weights included [rad]."""
+        return float(self._along(way)[-1])
+
+    def _along(self, way: Way) -> Array:
+        """Return the length of a way up to each of its places (k,)."""
+        nodes = np.array([place.q for place in way])
+        return np.concatenate((np.zeros(1), np.cumsum(
+            self._space.distance(nodes[:-1], nodes[1:]))))
+
+    def _guess(self) -> Generator[None, None, None]:
+        """Look for goal postures."""
+        until = self._guesses + _GUESSES
+        while len(self._goals) < _GOALS and self._guesses < until:
+            found = next(self._postures)
+            yield
+            self._goals += [goal for goal in found or () if (goal.room >= _AT_GOAL).all()]
+            self._guesses += found is None
+            self._reached = self._reached or bool(found)
+        self.out_of_reach = not self._reached and self._guesses >= _GUESSES_OUT_OF_REACH
+
+    def _note(self, way: Way, room: float) -> None:
+        """Keep a way with some room if it is the best."""
+        price = self.length(way) * (1.0 if room == _ROOMS[0] else _PRICE_OF_GAPS)
+        if price < self._price:
+            self._price, self.room = price, room
+            nearest = min(self._space.distance(self._start.q, goal.q) for goal in self._goals)
+            self.straight = len(way) == 2 and bool(self.length(way) <= _AS_GOOD * nearest)
+            self.way = way
+
+    def _connected(
+        self, needed: float, most_nodes: int,
+    ) -> Generator[None, None, Way | None]:
+        """Return a way with some room to any goal, None where the trees have grown too large."""
+        space, start, goals = self._space, self._start, self._goals
+        for goal in sorted(goals, key=lambda goal: float(space.distance(start.q, goal.q))):
+            yield
+            if (yield from space.is_free_between(start, goal, needed)):
+                return [start, goal]
+        trees = _Tree(space, [start]), _Tree(space, goals)
+        forward = True
+        while len(trees[0].places) + len(trees[1].places) < most_nodes:
+            growing, other = trees if forward else trees[::-1]
+            grown = yield from growing.grow(
+                self._random.uniform(self._low, self._high), needed)
+            while grown is not None:
+                goal = growing.places[grown]
+                met = yield from other.grow(goal.q, needed)
+                if met is None:
+                    break
+                if other.places[met].q is goal.q:
+                    way = growing.to_root(grown)[::-1] + other.to_root(met)[1:]
+                    return way if forward else way[::-1]
+            forward = not forward
+        return None
+
+    def _shortened(
+        self, way: Way, needed: float,
+    ) -> Generator[None, None, None]:
+        """Make a way shorter by straight motions with as much room."""
+        self._note(way, needed)
+        in_vain, goals = 0, self._goals
+        for attempt in range(_SHORTCUTS):
+            if in_vain > _IN_VAIN or (len(way) == 2 and attempt > 4 * len(goals)):
+                break
+            along = self._along(way)
+            first, last = np.sort(self._random.uniform(0.0, along[-1], 2)).tolist()
+            kind = attempt % 4
+            before, one = self._point(way, along, 0.0 if kind == 1 else first)
+            if kind == 0:
+                after, other = len(way), goals[int(self._random.integers(len(goals)))]
+            else:
+                after, other = self._point(way, along, along[-1] if kind == 2 else last)
+            in_vain += 1
+            # The ends of the way may have less room.
+            roomy = (kind == 1 or (one.room >= needed).all()) and (
+                kind in (0, 2) or (other.room >= needed).all())
+            shorter = [*way[:before + 1], one, other, *way[after + 1:]]
+            if roomy and self.length(shorter) < (1.0 - _LEAST_GAIN) * along[-1] and (
+                    yield from self._space.is_free_between(one, other, needed)):
+                way, in_vain = shorter, 0
+                self._note(way, needed)
+            yield
+
+    def _point(self, way: Way, along: Array, at: float) -> tuple[int, Place]:
+        """Return the place at a length of a way, and the number of the node before it."""
+        i = min(int(np.searchsorted(along, at, side='right')) - 1, len(way) - 2)
+        share = (at - along[i]) / max(along[i + 1] - along[i], np.finfo(float).tiny)
+        return i, self._space.place(way[i].q + share * (way[i + 1].q - way[i].q))
+
+
+class _Tree:
+    """Places, each with the one that it grew from."""
+
+    def __init__(self, space: FreeSpace, roots: Sequence[Place]) -> None:
+        self._space, self.places = space, list(roots)
+        self._parents = [-1] * len(roots)
+        self._postures = np.empty((64 + len(roots), len(roots[0].q)))
+        for i, root in enumerate(roots):
+            self._postures[i] = root.q
+
+    def grow(self, target: Array, needed: float) -> Generator[None, None, int | None]:
+        """Grow one branch with some room towards a posture (n,); return the new place's number."""
+        space = self._space
+        at = int(space.distance(self._postures[:len(self.places)], target).argmin())
+        root = self.places[at]
+        size = float(space.distance(root.q, target))
+        q = target if size <= _BRANCH else root.q + _BRANCH / size * (target - root.q)
+        place = space.place(q)
+        yield
+        if (place.room < needed).any() or not (
+                yield from space.is_free_between(root, place, needed)):
+            return None
+        return self._add(place, at)
+
+    def to_root(self, index: int) -> Way:
+        """Return the places from one back to its root."""
+        found = []
+        while index >= 0:
+            found.append(self.places[index])
+            index = self._parents[index]
+        return found
+
+    def _add(self, place: Place, parent: int) -> int:
+        """Add a place and return its number."""
+        index = len(self.places)
+        if index == len(self._postures):
+            self._postures = np.vstack((self._postures, np.empty_like(self._postures)))
+        self._postures[index] = place.q
+        self.places.append(place)
+        self._parents.append(parent)
+        return index
