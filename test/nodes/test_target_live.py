@@ -1,4 +1,4 @@
-"""A pose to go to, with real processes: there, away from there, and the bag that replays it."""
+"""A pose to go to, with real processes: there, away, around a wall, and bags that replay it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,16 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from topic_recorder import TopicRecorder
+from visualization_msgs.msg import MarkerArray
 
+from benchmark.bodies import capsules_of
+from benchmark.closest_approach import Motion
 from redundant_planner.analysis.replay_inputs import read_inputs
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.parameter_files import settings_of
+from redundant_planner.nodes.messages import markers_of
 from redundant_planner.tools.replay_bag import again, differences, main as replay_bag
 
 pytestmark = LIVE
@@ -29,7 +34,7 @@ ARM = {'urdf': PANDA_URDF, 'initial_joints': NAMES, 'initial_positions': PANDA_R
 TOPICS = {
     'joint_states': JointState, 'joint_command': JointState, 'cmd_vel': Twist,
     'target_pose': PoseStamped, 'planner_node/configuration': String,
-    'planner_node/ticks': Float64MultiArray}
+    'planner_node/ticks': Float64MultiArray, 'obstacles': MarkerArray}
 
 
 def pose(position, rotation, frame=''):
@@ -112,6 +117,29 @@ def test_to_a_pose_and_on_from_there_and_its_bag_replays(ros, tmp_path):
     assert replay_bag([str(tmp_path / 'bag'), '--out', str(tmp_path / 'again')]) == 0
     assert replay_bag([str(tmp_path / 'bag'), '--out', str(tmp_path / 'other'),
                        '--method', 'variational']) == 0
+
+
+def test_around_a_wall_and_its_bag_replays(ros, tmp_path):
+    """The line to the target leads through the wall; the planner finds a way around it."""
+    goal = PANDA_READY + np.array([1.5, 0.3, 0.0, -0.2, 0.0, 0.0, 0.0])
+    wall = Obstacle.box('wall', (0.3, 0.3, 0.35), (0.3, 0.04, 0.5))
+    ros.obstacles.publish(markers_of([wall], ROBOT.base_frame))
+    ros.wait_for(lambda: any(v.value == '1' for s in ros.statuses[-1:] for v in s.values
+                             if v.key == 'obstacles'), 'the wall')
+    there = ROBOT.kinematics(goal)
+    ros.target.publish(pose(there.tip_position, there.tip_rotation))
+    ros.wait_for(lambda: state(ros) == 'reached', 'reached')
+    assert {'thinking', 'moving'} <= {status.message for status in ros.progress}
+    np.testing.assert_allclose(tip(ros).tip_position, there.tip_position, atol=1e-3)
+    ros.wait_for(ros.at_rest, 'rest')
+    ros.recorder.write(tmp_path / 'bag')
+    with open_bag(tmp_path / 'bag') as opened:
+        inputs = read_inputs(opened, None, '', '')
+    found = differences(inputs, again(inputs, settings_of(PlannerParameters, inputs.values)))
+    assert len(found) > 500 and found.max() < 1e-9
+    postures = np.array([tick.q for _, tick in inputs.ticks])
+    motion = Motion.through(capsules_of(ROBOT), postures)
+    assert motion.to_obstacles((wall,), 0.004).distance > 0.005
 
 
 def test_a_zero_cmd_vel_lets_go_and_bad_targets_are_refused(ros):

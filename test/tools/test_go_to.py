@@ -63,7 +63,8 @@ def end(ros, process):
 def test_there_blocked_and_stopped_by_ctrl_c():
     with station() as (ros, processes):
         processes.start('fake_hardware_node', FILE, ARM_VALUES)
-        processes.start('planner_node', FILE, {'limits.linear_speed': 0.05})
+        processes.start('planner_node', FILE,
+                        {'limits.linear_speed': 0.05, 'target.path': 'straight'})
         ros.wait_for(lambda: ros.commands and ros.obstacles.get_subscription_count(), 'start')
 
         def tip():
