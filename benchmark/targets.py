@@ -32,6 +32,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
 from redundant_planner.core.parameters import METHODS, PlannerParameters, TARGET_PATHS
 from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot.cone import Cone, cone_room
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.progress import TargetState
@@ -47,6 +48,7 @@ _CLEAR, _LIMIT_DISTANCE = 0.03, 0.1
 _LOWEST = 0.1  # the tip [m]
 _OBSTACLES, _SIZES, _REACH = 4, (0.03, 0.1), 0.8  # count, half extents [m], from the base [m]
 _ENDS = (TargetState.REACHED, TargetState.BLOCKED, TargetState.OUT_OF_REACH)
+_STEPS_INTO_CONE = 20
 # Samples of a joint path, and over how many of them its direction is averaged.
 _SAMPLES, _AVERAGED = 400, 15
 
@@ -68,6 +70,7 @@ class Outcome(NamedTuple):
         distance, angle: of the tip from the target at the end [m, rad].
         clearance: smallest distance of a link to an obstacle or another link [m].
         violation: see `limit_violation`.
+        lean: the furthest that the tip leaned away from straight down [rad].
         thought: how long the arm thought [s].
         seconds: until the target was reached, besides [s].
         fastest: the least that the joints' limits leave for the same joint path [s].
@@ -79,13 +82,14 @@ class Outcome(NamedTuple):
     angle: float
     clearance: float
     violation: float
+    lean: float
     thought: float
     seconds: float
     fastest: float
 
 
-def problem_of(robot: Robot, seed: int) -> Problem:
-    """Return a random problem."""
+def problem_of(robot: Robot, seed: int, cone: Cone | None = None) -> Problem:
+    """Return a random problem, with start and goal in a cone if there is one."""
     random = np.random.default_rng(seed)
     radii = np.array([capsule.radius for capsule in robot.capsules])
 
@@ -93,7 +97,12 @@ def problem_of(robot: Robot, seed: int) -> Problem:
         while True:
             q = random.uniform(robot.position_min + _LIMIT_DISTANCE,
                                robot.position_max - _LIMIT_DISTANCE)
+            if cone is not None:
+                q = _upright(robot, q, cone)
             arm = robot.kinematics(q)
+            if cone is not None and cone_room(
+                    cone, arm.tip_rotation, arm.joint_screws)[0] < 0.2 * cone.angle:
+                continue
             apart = link_distances(arm.segment_start, arm.segment_end, radii, robot.self_pairs)
             if apart.distance.min() > _CLEAR and arm.tip_position[2] > _LOWEST:
                 return np.asarray(q)
@@ -115,6 +124,17 @@ def _distance(robot: Robot, q: Array, obstacle: Obstacle) -> float:
     arm = robot.kinematics(q)
     maps = inflated_obstacles(Scene.of([obstacle]), [c.radius for c in robot.capsules])
     return float(link_clearance(maps, arm.segment_start, arm.segment_end).distance.min())
+
+
+def _upright(robot: Robot, q: Array, cone: Cone) -> Array:
+    """Return a posture (n,) near another one with the tip in its cone, as far as it goes."""
+    for _ in range(_STEPS_INTO_CONE):
+        arm = robot.kinematics(q)
+        room, gradient = cone_room(cone, arm.tip_rotation, arm.joint_screws)
+        missing = max(0.4 * cone.angle - room, 0.0)
+        q = np.clip(q + missing / max(float(gradient @ gradient), 1e-9) * gradient,
+                    robot.position_min + _LIMIT_DISTANCE, robot.position_max - _LIMIT_DISTANCE)
+    return q
 
 
 def run(robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int) -> Outcome:
@@ -142,6 +162,8 @@ def run(robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int
     return Outcome(
         seed, progress.state.value, progress.distance, progress.angle, clearance,
         limit_violation(robot, np.array(positions), np.array(velocities), DT),
+        max(float(np.arccos(min(-robot.kinematics(q).tip_rotation[2, 2], 1.0)))
+            for q in positions),
         thought, DT * len(velocities) - thought,
         fastest_time(robot, np.array(positions), parameters))
 
@@ -183,11 +205,13 @@ def fastest_time(
     return float((2.0 * ds / (speed[1:] + speed[:-1])).sum()) + jerk
 
 
-def _job(job: tuple[int, str, str]) -> Outcome:
-    seed, method, path = job
+def _job(job: tuple[int, str, str, float]) -> Outcome:
+    seed, method, path, cone = job
     robot = make_robot('panda', 6)
-    return run(robot, problem_of(robot, seed), PlannerParameters(
-        method=method, target_path=path), seed)
+    parameters = PlannerParameters(
+        method=method, target_path=path, cone_angle=cone, cone_direction=(0.0, 0.0, -1.0))
+    down = Cone(np.array((0.0, 0.0, 1.0)), np.array((0.0, 0.0, -1.0)), cone)
+    return run(robot, problem_of(robot, seed, down if cone < np.pi else None), parameters, seed)
 
 
 def main() -> None:
@@ -196,6 +220,8 @@ def main() -> None:
     parser.add_argument('--count', type=int, default=200)
     parser.add_argument('--seed', type=int, default=0, help='first seed')
     parser.add_argument('--path', choices=TARGET_PATHS, default=TARGET_PATHS[0])
+    parser.add_argument('--cone', type=float, default=180.0, metavar='DEG',
+                        help='how far the hand may lean from straight down')
     parser.add_argument('--jobs', type=int, default=2, help='processes')
     parser.add_argument('--json', type=Path, help='file for every outcome')
     options = parser.parse_args()
@@ -203,12 +229,13 @@ def main() -> None:
     console, outcomes = Console(), {}
     with Pool(options.jobs) as pool:
         for method in methods:
-            jobs = [(options.seed + i, method, options.path) for i in range(options.count)]
+            jobs = [(options.seed + i, method, options.path, float(np.radians(options.cone)))
+                    for i in range(options.count)]
             outcomes[method] = list(track(
                 pool.imap(_job, jobs), method, len(jobs), console=Console(stderr=True)))
     table = Table(title=f'{options.count} poses from seed {options.seed}, {options.path}')
     for heading in ('method', 'reached', 'blocked', 'out of reach', 'contacts', 'violations',
-                    'off [mm]', 'off [deg]', 'thought [s]', 'time', '90 %'):
+                    'off [mm]', 'off [deg]', 'leans [deg]', 'thought [s]', 'time', '90 %'):
         table.add_column(heading)
     for method, found in outcomes.items():
         reached = [o for o in found if o.state == TargetState.REACHED.value]
@@ -219,6 +246,7 @@ def main() -> None:
             str(sum(o.violation > 0.0 for o in found)),
             f'{1e3 * max((o.distance for o in reached), default=np.nan):.2f}',
             f'{np.degrees(max((o.angle for o in reached), default=np.nan)):.3f}',
+            f'{np.degrees(max(o.lean for o in found)):.2f}',
             f'{np.median([o.thought for o in reached]):.2f}', f'{np.median(ratios):.3f}',
             f'{np.percentile(ratios, 90):.3f}')
     console.print(table)

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.errors import ParameterError
+from redundant_planner.core.errors import known, ParameterError
 from redundant_planner.core.kernels import IndexPairs, Indices, Matrix, Vector
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.safety.limits import Limits
 
@@ -27,6 +28,8 @@ class RobotConstants(NamedTuple):
             pairs if self-collision is switched off.
         rows: (m,) the controlled ones of the six axes.
         in_tool: whether J and twists are in tool axes.
+        preferred: (n,) where the joints should rather be; NaN for anywhere [rad, m].
+        cone: that an axis of the tip stays in.
     """
 
     position_min: Vector
@@ -40,6 +43,8 @@ class RobotConstants(NamedTuple):
     self_lever_arm_bounds: Matrix
     rows: Indices
     in_tool: bool
+    preferred: Vector
+    cone: Cone
 
 
 class Gains(NamedTuple):
@@ -64,6 +69,7 @@ class Gains(NamedTuple):
     singularity_margin: float
     singularity_damping_threshold: float
     singularity_damping: float
+    posture_weight: float
     feedback_gain: float
     feedback_speed: float
     feedback_angular_speed: float
@@ -103,7 +109,11 @@ def limits_of(robot: Robot, parameters: PlannerParameters) -> Limits:
 
 
 def robot_constants(robot: Robot, parameters: PlannerParameters) -> RobotConstants:
-    """Return the robot as a tick takes it."""
+    """Return the robot as a tick takes it.
+
+    Raises:
+        ParameterError: posture.preferred does not fit the robot.
+    """
     self_margin = parameters.clearance_self_margin
     # Only the joints between two links bring these nearer to each other.
     pairs = robot.self_pairs if self_margin > -1.0 else robot.self_pairs[:0]
@@ -114,7 +124,34 @@ def robot_constants(robot: Robot, parameters: PlannerParameters) -> RobotConstan
         1.0 / np.sqrt(joint_weights(robot, parameters)), np.array(robot.lever_arm_bounds),
         np.array(robot.supports), radii + self_margin / 2.0, np.array(pairs), supports,
         np.abs(supports) * robot.lever_arm_bounds[pairs].max(axis=1), np.array(robot.rows),
-        robot.in_tool)
+        robot.in_tool, preferred_posture(robot, parameters), _cone(parameters))
+
+
+def preferred_posture(robot: Robot, parameters: PlannerParameters) -> Array:
+    """Return where the joints should rather be (n,), NaN for anywhere [rad, m].
+
+    Raises:
+        ParameterError: a joint is unknown, or cannot be there.
+    """
+    preferred = np.full(robot.n, np.nan)
+    for entry in parameters.posture_preferred:
+        name, _, position = entry.partition('=')
+        if name not in robot.joint_names:
+            raise ParameterError(f"parameter 'posture.preferred' names joint '{name}'; "
+                                 f"'{robot.name}' has {known(robot.joint_names)}")
+        j, wanted = robot.joint_names.index(name), float(position)
+        if not robot.position_min[j] <= wanted <= robot.position_max[j]:
+            raise ParameterError(
+                f"parameter 'posture.preferred' has '{entry}'; joint '{name}' goes from "
+                f'{robot.position_min[j]:g} to {robot.position_max[j]:g}')
+        preferred[j] = wanted
+    return preferred
+
+
+def _cone(parameters: PlannerParameters) -> Cone:
+    axis, direction = np.array(parameters.cone_tip_axis), np.array(parameters.cone_direction)
+    return Cone(axis / np.linalg.norm(axis), direction / np.linalg.norm(direction),
+                parameters.cone_angle)
 
 
 def gains_of(parameters: PlannerParameters) -> Gains:

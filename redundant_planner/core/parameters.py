@@ -114,6 +114,13 @@ def _scalar(name: str, spec: Spec, kind: type, value: Any) -> Any:
     return value
 
 
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
 AXES = ('vx', 'vy', 'vz', 'wx', 'wy', 'wz')
 COMMAND_FRAMES = ('base', 'tool')
 # The last two are the paper's to the letter, without limits or a safety filter.
@@ -184,6 +191,31 @@ class PlannerParameters:
         description='Cost of moving each joint, one value per joint, empty for 1 everywhere. '
                     'Makes metres and radians comparable: the result of a least norm depends on '
                     'the unit of a prismatic joint.')
+    posture_preferred: tuple[str, ...] = parameter(
+        (), runtime=True,
+        group='posture',
+        description="Where joints should rather be, as 'joint=position', any of them [rad, m]: an "
+                    'elbow that is to stay up stays up where nothing else matters. ~/posture '
+                    'sets it, too.')
+    posture_weight: float = parameter(
+        1.0, low=0.0, high=1e6, unit='1/s²', runtime=True,
+        group='posture',
+        description='Weight of the distance from posture.preferred: in Eq. 18, in the cost of the '
+                    'joint path ahead, and where a free target leaves a choice of postures.')
+    cone_angle: float = parameter(
+        math.pi, low=1e-3, high=math.pi, unit='rad', runtime=True,
+        group='cone',
+        description='How far cone.tip_axis may lean away from cone.direction: a cup that is to '
+                    'stay upright. pi for any angle. The speed gives way where a twist or a '
+                    'target would lead beyond.')
+    cone_tip_axis: tuple[float, ...] = parameter(
+        (0.0, 0.0, 1.0), low=-1e6, high=1e6, size=3, runtime=True,
+        group='cone',
+        description='An axis of the tip, in its own frame.')
+    cone_direction: tuple[float, ...] = parameter(
+        (0.0, 0.0, 1.0), low=-1e6, high=1e6, size=3, runtime=True,
+        group='cone',
+        description='Where that axis should point, in the base frame.')
     clearance_margin: float = parameter(
         0.01, low=0.0, high=1.0, unit='m', runtime=True,
         group='clearance',
@@ -320,6 +352,15 @@ class PlannerParameters:
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""
         check(self)
+        for entry in self.posture_preferred:
+            if not all(entry.partition('=')[::2]) or not _is_number(entry.partition('=')[2]):
+                raise ParameterError(
+                    f"parameter 'posture.preferred' has {shown(entry)}; it takes "
+                    "'joint=position', a joint's name and a number [rad, m]")
+        for name in ('tip_axis', 'direction'):
+            if not any(getattr(self, f'cone_{name}')):
+                raise ParameterError(f"parameter 'cone.{name}' is a vector of zeros; it must "
+                                     'point somewhere')
         for contact in self.allowed_contacts:
             if not all(contact.partition(':')[::2]):
                 raise ParameterError(

@@ -129,7 +129,7 @@ class Planner:
         self._links = self._never_measured()
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
-        self._way = Way(robot, parameters, limits, constants)
+        self._way = Way(robot, parameters, limits, constants, gains)
         self._evasion = Evasion(robot, parameters)
         self._watch = watch
         drive = parameters.drive_lag, parameters.drive_dead_time

@@ -144,7 +144,7 @@ def _total_gradient(
         least: the least-norm solution.
     """
     arm, parts, scaling = start.arm, least.parts, constants.scaling
-    joint_limit, shortest_path, manipulability = np.zeros((3, len(scaling)))
+    joint_limit, shortest_path, manipulability, posture = np.zeros((4, len(scaling)))
     if gains.criteria_k_s > 0.0:
         _, joint_limit = criteria.joint_limit_index(
             arm.q, constants.position_min, constants.position_max)
@@ -161,9 +161,12 @@ def _total_gradient(
                 arm.tip_rotation, constants.in_tool, constants.rows)
         _, manipulability = criteria.manipulability_index(parts, changes)
         manipulability = criteria.fade(nearness) * manipulability
+    if gains.posture_weight > 0.0:
+        _, posture = criteria.posture_index(arm.q, constants.preferred)
     return criteria.total_gradient(
-        clearance, joint_limit, shortest_path, manipulability, criteria.IndexWeights(
-            gains.criteria_k_w, gains.criteria_k_s, gains.criteria_k_f, gains.criteria_k_m))
+        clearance, joint_limit, shortest_path, manipulability, posture, criteria.IndexWeights(
+            gains.criteria_k_w, gains.criteria_k_s, gains.criteria_k_f, gains.criteria_k_m,
+            gains.posture_weight))
 
 
 @kernel
@@ -276,13 +279,14 @@ def wish(
     # The barriers. To evade, any null-space speed is better than leaving the path.
     intruded, turn = rows.is_intruded(near, obstacles, world.turn), world.turn
     room = rows.room_for(
-        len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 2, len(dq))
+        len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 4, len(dq))
     found = barriers_in_compiled(room, len(room.gradient))
     at = rows.obstacle_rows(
         found, 0, near, obstacles, gains.clearance_lead,
         rows.strayed_distances(world.strayed, constants))
     at = rows.turn_rows(found, at, turn, limits.velocity_max)
     at = rows.link_rows(found, at, own, constants)
+    at = rows.cone_rows(found, at, start, constants.cone)
     at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
     if not intruded:
         at = rows.self_motion_row(found, at, start, parts, limits, constants)

@@ -9,6 +9,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -151,6 +152,7 @@ class PlannerNode(EndableNode):
             MarkerArray, 'obstacles', loop.obstacles.on_message, 10, raw=True)
         self.create_subscription(
             MarkerArray, 'attached', loop.attached.on_message, 10, raw=True)
+        self.create_subscription(JointState, '~/posture', self._on_posture, 10)
         assert self._startup is not None
         self._startup.listen_for_commands(
             lambda raw: loop.supervisor.heard_a_command(loop.clock.now()))
@@ -188,6 +190,19 @@ class PlannerNode(EndableNode):
         if not loop.clock.simulated and not runtime.request_priority(settings.thread_priority):
             self.get_logger().info(
                 'no real-time priority: the system does not grant it (see README, timing)')
+
+    def _on_posture(self, message: JointState) -> None:
+        """Set posture.preferred; a message without names takes all of it back."""
+        if len(message.name) != len(message.position):
+            self._warn(f'posture ignored: it has {len(message.name)} names and '
+                       f'{len(message.position)} positions; it takes one for each')
+            return
+        entries = [f'{name}={position!r}'
+                   for name, position in zip(message.name, message.position)]
+        answer, = self.set_parameters([Parameter(
+            'posture.preferred', Parameter.Type.STRING_ARRAY, entries)])
+        if not answer.successful:
+            self._warn(f'posture ignored: {answer.reason}')
 
     def _apply(
         self, planner: PlannerParameters, node: PlannerNodeParameters,

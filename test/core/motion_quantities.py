@@ -52,6 +52,11 @@ def time_lost(motion):
     return DT * sum(1.0 - result.scale for result in motion.results)
 
 
+def off_preferred(motion):
+    """How far the third joint is from 0.5 rad in the mean [rad]."""
+    return np.abs(motion.postures[:, 2] - 0.5).mean()
+
+
 def distance_left(motion):
     """To the target at the end [m]."""
     return motion.results[-1].progress.distance

@@ -84,6 +84,11 @@ def to_a_target_behind_a_ball(parameters):
     return Motion(robot, np.array(postures), results, (ball,))
 
 
+def tilting(parameters):
+    """The Panda's hand turns about a horizontal axis; its z axis points down at first."""
+    return move(parameters, 'panda', PANDA_READY, (0.0, 0.0, 0.0, 0.3, 0.0, 0.0), 2.0)
+
+
 def free_position(parameters):
     """The same line without its orientation: four joints to spare."""
     return move(parameters, 'panda_position', PANDA_READY, (0.0, 0.1, -0.05), 3.0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
+import math
 
 from motion_quantities import (
     distance_at_first_evasion,
@@ -22,6 +23,7 @@ from motion_quantities import (
     least_norm_at_the_end,
     null_space_share,
     off_mid_range,
+    off_preferred,
     path_length,
     room_to_limits,
     smallest_distance,
@@ -49,6 +51,7 @@ from parameter_scenarios import (
     pushed,
     pushed_far,
     stretching,
+    tilting,
     to_a_target_behind_a_ball,
     towards_a_ball,
     with_slow_drives,
@@ -68,6 +71,8 @@ ONLY_CLEARANCE = replace(EQ_2, criteria_k_f=0.0)
 FIXED = PlannerParameters(method='gradient_projection')
 LAG, DEAD_TIME = PlannerParameters(drive_lag=0.06), PlannerParameters(drive_dead_time=0.04)
 VARIATIONAL = PlannerParameters(method='variational')
+PREFERRED = replace(EQ_2, posture_preferred=('panda_joint3=0.5',))
+CONE = PlannerParameters(cone_angle=0.3, cone_direction=(0.0, 0.0, -1.0))
 # Where the filter lets the arm into a singularity, and damping is what is left.
 SINGULAR = PlannerParameters(singularity_margin=0.0)
 
@@ -96,6 +101,15 @@ CASES = [
     Case('path_priority', 'strict', 'yield', into_the_forearm, largest_path_error, '+'),
     Case('path_priority', 'yield', 'slide', held_up, time_lost, '-'),
     Case('target_path', 'straight', 'free', to_a_target_behind_a_ball, distance_left, '-'),
+    Case('posture_preferred', (), ('panda_joint3=0.5',), free, off_preferred, '-', EQ_2),
+    Case('posture_preferred', (), ('panda_joint3=0.5',), free, off_preferred, '-', VARIATIONAL),
+    Case('posture_weight', 0.0, 5.0, free, off_preferred, '-', PREFERRED),
+    Case('posture_weight', 0.0, 5.0, free, off_preferred, '-',
+         replace(PREFERRED, method='variational')),
+    Case('cone_angle', math.pi, 0.2, tilting, turn_of_the_tip, '-', CONE),
+    Case('cone_tip_axis', (0.0, 0.0, 1.0), (0.0, -0.2, 1.0), tilting, turn_of_the_tip, '-', CONE),
+    Case('cone_direction', (0.0, 0.0, -1.0), (0.0, -0.2, -1.0), tilting, turn_of_the_tip, '-',
+         CONE),
     Case('drive_lag', 0.0, 0.06, with_slow_drives, largest_path_error, '-', DEAD_TIME),
     Case('drive_dead_time', 0.0, 0.04, with_slow_drives, largest_path_error, '-', LAG),
     Case('criteria_k_alpha', 0.2, 0.9, held_up, null_space_share, '+', EQ_2),

@@ -8,12 +8,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.horizon.poses_ahead import error_to, Poses
 from redundant_planner.core.kernels import compiled, entry, Matrix, Stack, Vector
 from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.kinematics import Chain, fill_tip, new_kinematics_compiled
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
 
@@ -27,11 +30,24 @@ class PathJoints(NamedTuple):
     Attributes:
         scaling: (n,) 1 / square root of the joint weights.
         position_min, position_max: (n,) margins taken off [rad, m].
+        preferred: (n,) where they should rather be, NaN for anywhere [rad, m].
+        preference: what that counts [1/s²].
+        cone: that an axis of the tip stays in.
     """
 
     scaling: Vector
     position_min: Vector
     position_max: Vector
+    preferred: Vector
+    preference: float
+    cone: Cone
+
+
+def path_joints(constants: RobotConstants, gains: Gains, limits: Limits) -> PathJoints:
+    """Return what a path of the joints goes by."""
+    return PathJoints(
+        constants.scaling, limits.positions[1], limits.positions[0], constants.preferred,
+        gains.posture_weight, constants.cone)
 
 
 def least_norm_path(robot: Robot, q: Array, poses: Poses, joints: PathJoints) -> Array:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.horizon.horizon import Horizon
-from redundant_planner.core.horizon.least_norm_path import PathJoints
+from redundant_planner.core.horizon.least_norm_path import path_joints
 from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
 from redundant_planner.core.horizon.preview import continued, Preview, PreviewAhead, TwistAhead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -61,8 +61,8 @@ class LookAhead:
         self._robot, self._constants, self._gains = robot, constants, gains
         self._always = parameters.method == 'variational'
         self._horizons = tuple(
-            Horizon(robot, node_times(duration, parameters.horizon_nodes), PathJoints(
-                constants.scaling, limits.positions[1], limits.positions[0]))
+            Horizon(robot, node_times(duration, parameters.horizon_nodes),
+                    path_joints(constants, gains, limits))
             for duration in (parameters.horizon_duration, parameters.horizon_held_duration))
         self._controlled = robot.full_twist(np.ones(robot.m))
         self.reset()

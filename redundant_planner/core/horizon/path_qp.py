@@ -4,6 +4,7 @@ Eq. 11 asks for the joint path of least ∫ q̇ᵀq̇ dt, Eq. 12 that it follows
 at times t₀ … t_N ahead, with the tip's pose known at every one of them, this is
 
     minimise    Σ ‖q_{i+1} − q_i‖² / (t_{i+1} − t_i)         q₀ is where the arm is
+                + k_p Σ ‖q_{i+1} − q_p‖² (t_{i+1} − t_i)     where a posture is preferred
     subject to  pose(q_i) = pose_i                           Eq. 12 at every node
                 ρ(q_i) ≥ 0,  q_min ≤ q_i ≤ q_max             for every link and obstacle
 
@@ -16,6 +17,7 @@ the problem while it is being solved. docs/horizon.md has the derivation.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import daqp
@@ -28,6 +30,7 @@ from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Mat
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs_along
 from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.robot.cone import cone_room
 from redundant_planner.core.robot.kinematics import Chain, KinematicsAlong
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -108,8 +111,9 @@ class LocalProblem(NamedTuple):
         base: (N, n).
         directions: (N, n − m, n) the null space of every node.
         linear, hessian: of the cost in w, (N (n − m),) and square.
-        gradients: (p, n) ∂ρ/∂q of the pairs of links and obstacles near any node.
-        bounds: (p,) what a step must add to ρ at least.
+        gradients: (p, n) ∂ρ/∂q of the pairs of links and obstacles near any node, then those of
+            the tip's cone at each of them, if there is one.
+        bounds: (p,) what a step must add to ρ, or to the room in the cone, at least.
         at: (p,) their nodes.
     """
 
@@ -252,9 +256,10 @@ def _followed(
 
 @kernel
 def _path_cost(
-    q: Vector, base: Matrix, basis: Stack, times: Vector, scaling: Vector,
+    q: Vector, base: Matrix, basis: Stack, times: Vector, joints: PathJoints,
 ) -> tuple[float, Array, Array]:
-    """Return Σ ‖Δq‖² / Δt, and its gradient and Hessian in the coordinates w."""
+    """Return Σ ‖Δq‖² / Δt + k_p Σ ‖q − q_p‖² Δt; half its gradient and Hessian in w."""
+    scaling = joints.scaling
     count, free, n = basis.shape
     size = count * free
     cost, linear, hessian = 0.0, np.zeros(size), np.zeros((size, size))
@@ -278,6 +283,18 @@ def _path_cost(
                     for j in range(n):
                         along += basis[i, w, j] * basis[i - 1, other, j]
                     hessian[here, there] = hessian[there, here] = -stiffness * along
+        for j in range(n):
+            preference = joints.preference * (times[i + 1] - times[i])
+            off = base[i, j] - joints.preferred[j]
+            if preference == 0.0 or math.isnan(off):
+                continue
+            cost += preference * off * off
+            for w in range(free):
+                slope = preference * scaling[j] * basis[i, w, j]
+                linear[i * free + w] += slope * off
+                for other in range(free):
+                    hessian[i * free + w, i * free + other] += (
+                        slope * scaling[j] * basis[i, other, j])
     return cost, linear, hessian
 
 
@@ -304,17 +321,26 @@ def _linearised(
                          joints.position_min[j] - arms.q[i, j])
     followed = _followed(arms, poses, chain, joints.scaling)
     cost, linear, hessian = _path_cost(
-        q, followed.base, followed.basis, times, joints.scaling)
+        q, followed.base, followed.basis, times, joints)
     near = near_pairs_along(obstacles, arms, chain, times[1:], _PAIRS_WITHIN)
-    bounds = np.empty(len(near.postures))
-    for i in range(len(bounds)):
-        bounds[i] = _CLEARANCE_RESERVE / near.smallest[i] - near.normalized_distance[i]
+    pairs = len(near.postures)
+    rows = pairs + (count if joints.cone.angle < math.pi else 0)
+    gradients, bounds, at = np.empty((rows, n)), np.empty(rows), np.empty(rows, np.intp)
+    for i in range(rows):
+        if i < pairs:
+            at[i], gradients[i] = near.postures[i], near.gradient[i]
+            bounds[i] = _CLEARANCE_RESERVE / near.smallest[i] - near.normalized_distance[i]
+        else:
+            at[i] = i - pairs
+            room, gradients[i] = cone_room(
+                joints.cone, arms.tip_rotation[at[i]], arms.joint_screws[at[i]])
+            bounds[i] = -room
         for j in range(n):
-            bounds[i] -= near.gradient[i, j] * followed.steps[near.postures[i], j]
+            bounds[i] -= gradients[i, j] * followed.steps[at[i], j]
     return _Linearised(
         Measures(cost, followed.error, -near.nearest, beyond),
         LocalProblem(followed.base, followed.basis * joints.scaling, linear, hessian,
-                     near.gradient, bounds, near.postures))
+                     gradients, bounds, at))
 
 
 @entry

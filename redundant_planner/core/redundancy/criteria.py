@@ -145,19 +145,36 @@ def shortest_path_index(least_norm: Vector, change: Vector) -> tuple[float, Arra
     return value, -change
 
 
+@compiled
+def posture_index(q: Vector, preferred: Vector) -> tuple[float, Array]:
+    """Return ½‖q − q_p‖² over the joints that have a preferred position, and its gradient.
+
+    Args:
+        q: (n,) the posture.
+        preferred: (n,) q_p, NaN for joints that may be anywhere.
+    """
+    value, gradient = 0.0, np.zeros(len(q))
+    for j in range(len(q)):
+        if not math.isnan(preferred[j]):
+            gradient[j] = q[j] - preferred[j]
+            value += 0.5 * gradient[j] * gradient[j]
+    return value, gradient
+
+
 class IndexWeights(NamedTuple):
-    """What each index counts in Eq. 18, all of them 0 or more; k_m is not the paper's."""
+    """What each index counts in Eq. 18, all of them 0 or more; k_m and k_p are not the paper's."""
 
     k_w: float
     k_s: float
     k_f: float
     k_m: float
+    k_p: float
 
 
 @compiled
 def total_gradient(
     clearance: Vector, joint_limit: Vector, shortest_path: Vector, manipulability: Vector,
-    weights: IndexWeights,
+    posture: Vector, weights: IndexWeights,
 ) -> Array:
     """Return ∇H of Eq. 18, (n,), pointing where the arm should go.
 
@@ -165,8 +182,9 @@ def total_gradient(
     all coefficients are positive, and the minimised indices are subtracted.
 
     Args:
-        clearance, joint_limit, shortest_path, manipulability: (n,) the indices' gradients.
+        clearance, joint_limit, shortest_path, manipulability, posture: (n,) the indices'
+            gradients.
         weights: what they count.
     """
     return (weights.k_w * clearance - weights.k_s * joint_limit - weights.k_f * shortest_path
-            + weights.k_m * manipulability)
+            + weights.k_m * manipulability - weights.k_p * posture)

@@ -21,6 +21,7 @@ from redundant_planner.core.obstacles.self_collision import NearLinks
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.redundancy.reference import Start
+from redundant_planner.core.robot.cone import Cone, leaning
 from redundant_planner.core.robot.jacobian import derivative_between, jdot_qdot
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.safety.limits import (
@@ -34,12 +35,15 @@ Array = npt.NDArray[np.float64]
 
 # Kinds of rows, in the order in which they stand. The last two are not urgent: they give way
 # before anything else does.
-OBSTACLE, TURN, LINK, SINGULARITY, SELF_MOTION = range(5)
+OBSTACLE, TURN, LINK, CONE, SINGULARITY, SELF_MOTION = range(6)
 
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
 _FOUND_INSIDE = 1e-3
 # The singularity barrier is looked at below this multiple of its margin.
 _SINGULARITY_NEAR = 5.0
+# Share of the cone's angle that is kept free, and of the rest that counts. What has drifted out by
+# no more than this comes back; beyond twice that it counts as found outside [rad].
+_SPARE_IN_CONE, _CAUTION_IN_CONE, _DRIFT = 0.03, 0.4, 0.01
 # Links that have strayed less than this count as in place: the rest of the noise [m].
 _IN_PLACE = 5e-4
 # How exactly a turn is made, as a share of a joint's speed limit.
@@ -56,7 +60,7 @@ class Barriers(NamedTuple):
         time_derivative: (b,) ∂h/∂t from the obstacles' own motion [unit of h/s].
         value: (b,) h against the margin; negative inside it, where the arm has to get out.
         spare: (b,) how much of h is given up before the rest of any other is.
-        kind: (b,) OBSTACLE, TURN, LINK, SINGULARITY or SELF_MOTION.
+        kind: (b,) OBSTACLE, TURN, LINK, CONE, SINGULARITY or SELF_MOTION.
         first, second: (b,) a link and an obstacle, or two links; −1 for other rows.
     """
 
@@ -232,6 +236,32 @@ def link_rows(rows: Barriers, at: int, own: NearLinks, constants: RobotConstants
         rows.gradient[at], rows.value[at] = own.gradient[i], own.distance[i]
         rows.kind[at] = LINK
         rows.first[at], rows.second[at] = constants.self_pairs[own.pairs[i]]
+        at += 1
+    return at
+
+
+@kernel
+def cone_rows(rows: Barriers, at: int, start: Start, cone: Cone) -> int:
+    """Write two rows that keep the tip's axis in its cone; return the next row.
+
+    Along the cone's surface a tick's motion leads out by half its curvature. An axis that is
+    found outside may stay there, and only not lean further.
+    """
+    if cone.angle >= math.pi:
+        return at
+    arm, dt = start.arm, start.dt
+    found = leaning(cone, arm.tip_rotation, arm.joint_screws, start.previous)
+    for i in range(2):
+        if found.room[i] == np.inf:
+            continue
+        room = found.room[i] - _SPARE_IN_CONE * cone.angle
+        outside = max(-room, 0.0) / _DRIFT
+        rows.gradient[at] = found.gradient[i]
+        rows.time_derivative[at] = 0.5 * dt * found.change[i]
+        # Directions turn as it leans: what it may use up leaves room for that.
+        rows.value[at] = (_CAUTION_IN_CONE * room if room > 0.0 else room if outside < 1.0
+                          else _DRIFT * min(outside - 2.0, 0.0))
+        rows.kind[at] = CONE
         at += 1
     return at
 

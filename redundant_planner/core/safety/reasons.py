@@ -9,6 +9,7 @@ from redundant_planner.core.obstacles.nearby import Surroundings
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.safety.barriers import (
     Barriers,
+    CONE,
     LINK,
     OBSTACLE,
     SELF_MOTION,
@@ -52,6 +53,8 @@ def _row_name(row: int, barriers: Barriers, around: Surroundings, robot: Robot) 
     kind = int(barriers.kind[row])
     if kind == SINGULARITY:
         return 'near a singularity'
+    if kind == CONE:
+        return 'the tip leans as far as cone.angle lets it'
     if kind == SELF_MOTION:
         return 'null-space motion that could not stop without leaving the path'
     link = robot.capsules[int(barriers.first[row])].name

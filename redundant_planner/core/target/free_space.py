@@ -8,6 +8,7 @@ Otherwise the posture half way is looked at, and so on (Schwarzer, Saha and Lato
 from __future__ import annotations
 
 from collections.abc import Generator
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from redundant_planner.core.kernels import entry, IndexPairs, Stack, Vector
 from redundant_planner.core.obstacles.clearance import is_contact, measure, Pairs
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.self_collision import write_link_distances
+from redundant_planner.core.robot.cone import cone_room
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
@@ -27,6 +29,9 @@ Array = npt.NDArray[np.float64]
 _AMPLE = 0.3
 # Pieces of a motion shorter than this are not halved any more [rad, m].
 _FINEST = 0.02
+# Steps that lead a posture into the tip's cone, to this share of its angle inside.
+_STEPS_INTO_CONE, _ROOM_IN_CONE = 6, 0.1
+_TINY = 1e-12
 # How many postures are looked at in one piece of work.
 AT_ONCE = 5
 # What a posture costs to look at besides its distances, in distances.
@@ -49,7 +54,8 @@ class FreeSpace:
     """The postures at which one arm is free, among obstacles as they are at one moment.
 
     Room is what a link has to the nearest obstacle, and what pairs of links have to each other,
-    margins taken off: k entries, links first [m].
+    margins taken off [m], and how much further the tip may lean in its cone [rad]: k entries, in
+    this order.
 
     Attributes:
         robot: the arm.
@@ -64,7 +70,13 @@ class FreeSpace:
         """Take a look at obstacles that are inflated for links with their margin."""
         self.robot, self.joints, self.spent = robot, joints, 0
         self._constants, self._obstacles = constants, obstacles
-        self._reach = np.vstack((constants.lever_arm_bounds, constants.self_lever_arm_bounds))
+        reach = [constants.lever_arm_bounds, constants.self_lever_arm_bounds]
+        self._cone = constants.cone if constants.cone.angle < math.pi else None
+        if self._cone is not None:
+            # What turns, turns the tip's axis no faster.
+            screws = robot.kinematics(np.zeros(robot.n)).joint_screws
+            reach.append(np.linalg.norm(screws[3:], axis=0)[None])
+        self._reach = np.vstack(reach)
         self._fixed = ~self._reach.any(axis=1)
         self._forgiven = np.zeros(len(self._reach))
         self._cost = obstacles.smallest.size + len(constants.self_pairs) + _COST_OF_POSTURE
@@ -80,8 +92,29 @@ class FreeSpace:
         found = _rooms(
             arms.segment_start, arms.segment_end, self._obstacles, self._constants.radii,
             self._constants.self_pairs, _AMPLE)
+        if self._cone is not None:
+            cosines = np.clip((arms.tip_rotation @ self._cone.axis) @ self._cone.direction, -1, 1)
+            found = np.column_stack((found, self._cone.angle - np.arccos(cosines)))
         found[:, self._fixed] = np.inf
         return np.asarray(found + self._forgiven)
+
+    @property
+    def narrow(self) -> bool:
+        """Whether the tip has to stay in a cone: few postures do, and random ones do not."""
+        return self._cone is not None
+
+    def into_cone(self, q: Array) -> Array:
+        """Return a posture (n,) near another one with the tip in its cone, or nearer to that."""
+        for _ in range(_STEPS_INTO_CONE if self._cone is not None else 0):
+            assert self._cone is not None
+            arm = self.robot.kinematics(q)
+            room, gradient = cone_room(self._cone, arm.tip_rotation, arm.joint_screws)
+            if room > _ROOM_IN_CONE * self._cone.angle:
+                break
+            missing = 2.0 * _ROOM_IN_CONE * self._cone.angle - room
+            q = np.clip(q + missing / max(float(gradient @ gradient), _TINY) * gradient,
+                        self.joints.position_min, self.joints.position_max)
+        return q
 
     def begin_at(self, q: Array) -> Place:
         """Return a posture (n,) with its room, to start from.

@@ -31,8 +31,9 @@ _GUESSES, _GOALS = 15, 24
 _GUESSES_OUT_OF_REACH = 60
 # A straight motion to a goal that is further than the nearest by this share is as good.
 _AS_GOOD = 1.05
-# Longest branch that is tried at once [rad, joint weights included].
-_BRANCH = 0.8
+# Longest branch that is tried at once [rad, joint weights included]: anywhere, and where the tip
+# stays in a cone.
+_BRANCH, _BRANCH_IN_CONE = 0.8, 0.2
 # Nodes after which both trees are given up: at first, and at last.
 _FEWEST_NODES, _MOST_NODES = 500, 4000
 # Joints without limits are sampled this far about where they are [rad].
@@ -114,7 +115,9 @@ class PathSearch:
 
     def _note(self, way: Way, room: float) -> None:
         """Keep a way with some room if it is the best."""
-        price = self.length(way) * (1.0 if room == _ROOMS[0] else _PRICE_OF_GAPS)
+        off = np.nan_to_num(way[-1].q - self._space.joints.preferred)
+        price = self.length(way) * (1.0 if room == _ROOMS[0] else _PRICE_OF_GAPS) + (
+            self._space.joints.preference * float(np.linalg.norm(off)))
         if price < self._price:
             self._price, self.room = price, room
             nearest = min(self._space.distance(self._start.q, goal.q) for goal in self._goals)
@@ -197,8 +200,11 @@ class _Tree:
         space = self._space
         at = int(space.distance(self._postures[:len(self.places)], target).argmin())
         root = self.places[at]
-        size = float(space.distance(root.q, target))
-        q = target if size <= _BRANCH else root.q + _BRANCH / size * (target - root.q)
+        size, longest = float(space.distance(root.q, target)), (
+            _BRANCH_IN_CONE if space.narrow else _BRANCH)
+        q = target
+        if size > longest:
+            q = space.into_cone(root.q + longest / size * (target - root.q))
         place = space.place(q)
         yield
         if (place.room < needed).any() or not (

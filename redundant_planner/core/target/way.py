@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.constants import RobotConstants
-from redundant_planner.core.horizon.least_norm_path import PathJoints
+from redundant_planner.core.constants import Gains, RobotConstants
+from redundant_planner.core.horizon.least_norm_path import path_joints
 from redundant_planner.core.horizon.preview import PreviewAhead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
@@ -48,11 +48,11 @@ class Way:
 
     def __init__(
         self, robot: Robot, parameters: PlannerParameters, limits: Limits,
-        constants: RobotConstants,
+        constants: RobotConstants, gains: Gains,
     ) -> None:
         """Prepare for an arm; the other arguments are made of the parameters."""
         self._robot, self._constants = robot, constants
-        self._joints = PathJoints(constants.scaling, limits.positions[1], limits.positions[0])
+        self._joints = path_joints(constants, gains, limits)
         full_speed = np.maximum(
             (parameters.limits_linear_speed, parameters.limits_angular_speed), _STANDSTILL)
         self._line = StraightWay(robot, limits, self._joints, full_speed)

@@ -9,7 +9,10 @@ from redundant_planner.core.horizon.path_qp import PathQP
 from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.se3 import Pose
+
+NO_CONE = Cone(np.array((0.0, 0.0, 1.0)), np.array((0.0, 0.0, 1.0)), np.pi)
 
 
 def smooth(twist, seconds=3.0):
@@ -24,7 +27,8 @@ def problem(robot, q, twist, obstacles=(), nodes=6, seconds=1.0, weights=None):
     """A path problem, the poses ahead and the obstacles."""
     scaling = 1.0 / np.sqrt(np.ones(robot.n) if weights is None else weights)
     qp = PathQP(robot, node_times(seconds, nodes), PathJoints(
-        scaling, np.array(robot.position_min), np.array(robot.position_max)))
+        scaling, np.array(robot.position_min), np.array(robot.position_max),
+        np.full(robot.n, np.nan), 0.0, NO_CONE))
     arm = robot.kinematics(q)
     poses = poses_ahead(Pose(arm.tip_position, arm.tip_rotation),
                         smooth(twist, seconds)(middles(qp.times)), qp.times,

@@ -157,10 +157,21 @@ def test_shortest_path_index_with_joint_weights_and_prismatic_joints(paper_arm):
 
 
 def test_total_gradient_maximises_clearance_and_minimises_the_rest():
-    w, s, f, m = np.eye(4)
+    w, s, f, m, p = np.eye(5)
     np.testing.assert_array_equal(
-        criteria.total_gradient(w, s, f, m, criteria.IndexWeights(2.0, 3.0, 4.0, 5.0)),
-        [2.0, -3.0, -4.0, 5.0])
+        criteria.total_gradient(w, s, f, m, p, criteria.IndexWeights(2.0, 3.0, 4.0, 5.0, 6.0)),
+        [2.0, -3.0, -4.0, 5.0, -6.0])
+
+
+def test_the_posture_index_is_that_of_the_joints_that_prefer_a_position():
+    preferred = np.array([0.5, np.nan, -0.2])
+    q = np.array([0.1, 2.0, 0.3])
+    value, gradient = criteria.posture_index(q, preferred)
+    assert value == pytest.approx(0.5 * (0.4**2 + 0.5**2))
+    np.testing.assert_allclose(
+        gradient, central_difference(lambda q: criteria.posture_index(q, preferred)[0], q),
+        atol=1e-8)
+    assert gradient[1] == 0.0
 
 
 @pytest.mark.parametrize('make', [make_panda, make_paper_arm])
