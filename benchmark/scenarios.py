@@ -259,7 +259,7 @@ def print_table(title: str, result: dict[str, dict[str, Any]]) -> None:
         table.add_column(key.replace('_', ' '), justify='right')
     for name, entry in result.items():
         table.add_row(name, *(f'{entry[key]:.4g}' for key in keys))
-    Console(width=180).print(table)
+    Console(width=220).print(table)
 
 
 def main() -> None:

@@ -49,16 +49,19 @@ _LOWEST = 0.1  # the tip [m]
 _OBSTACLES, _SIZES, _REACH = 4, (0.03, 0.1), 0.8  # count, half extents [m], from the base [m]
 _ENDS = (TargetState.REACHED, TargetState.BLOCKED, TargetState.OUT_OF_REACH)
 _STEPS_INTO_CONE = 20
+# A ball that crosses: speed [m/s], radius [m], and when it does [s].
+_BALL_SPEEDS, _BALL_SIZES, _PASSES = (0.15, 0.35), (0.05, 0.09), 1.5
 # Samples of a joint path, and over how many of them its direction is averaged.
 _SAMPLES, _AVERAGED = 400, 15
 
 
 class Problem(NamedTuple):
-    """A pose to go to: postures (n,) of start and goal, and the obstacles."""
+    """A pose to go to: postures (n,) of start and goal, obstacles, and those that move."""
 
     start: Array
     goal: Array
     obstacles: tuple[Obstacle, ...]
+    moving: tuple[Obstacle, ...] = ()
 
 
 class Outcome(NamedTuple):
@@ -126,6 +129,23 @@ def _distance(robot: Robot, q: Array, obstacle: Obstacle) -> float:
     return float(link_clearance(maps, arm.segment_start, arm.segment_end).distance.min())
 
 
+def crossing(robot: Robot, problem: Problem, seed: int) -> Problem:
+    """Return a problem with a ball that crosses the way half way, while the arm is on it."""
+    random = np.random.default_rng(seed)
+    begin, end = (robot.kinematics(q).tip_position for q in (problem.start, problem.goal))
+    direction = random.normal(size=3)
+    velocity = random.uniform(*_BALL_SPEEDS) * direction / np.linalg.norm(direction)
+    at = 0.5 * (begin + end) - _PASSES * velocity
+    ball = Obstacle('ball', at, np.full(3, random.uniform(*_BALL_SIZES)), velocity=velocity)
+    return problem._replace(moving=(ball,))
+
+
+def _after(obstacle: Obstacle, seconds: float) -> Obstacle:
+    """Return a ball after a time [s]."""
+    return Obstacle(obstacle.name, obstacle.center + seconds * obstacle.velocity,
+                    obstacle.half_extents, velocity=obstacle.velocity)
+
+
 def _upright(robot: Robot, q: Array, cone: Cone) -> Array:
     """Return a posture (n,) near another one with the tip in its cone, as far as it goes."""
     for _ in range(_STEPS_INTO_CONE):
@@ -140,11 +160,14 @@ def _upright(robot: Robot, q: Array, cone: Cone) -> Array:
 def run(robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int) -> Outcome:
     """Go to the goal's tip pose until it is reached, or until the arm is stuck."""
     planner, scene = Planner(robot, parameters), Scene.of(problem.obstacles)
+    last = max((_PASSES * 2.0 for _ in problem.moving), default=0.0)
     arm = robot.kinematics(problem.goal)
     target = Pose(arm.tip_position, arm.tip_rotation)
     q, positions, velocities = problem.start, [problem.start], []
     still, held_up, thought = np.zeros(6), 0.0, 0.0
-    for _ in range(round(_LONGEST / DT)):
+    for tick in range(round(_LONGEST / DT)):
+        if problem.moving:
+            scene = Scene.of([*problem.obstacles, *(_after(o, tick * DT) for o in problem.moving)])
         result = planner.step(q, still, scene, DT, target=target)
         q = q + DT * result.dq
         positions.append(q)
@@ -152,11 +175,11 @@ def run(robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int
         assert result.progress is not None
         state = result.progress.state
         held_up = held_up + DT if state in _HELD_UP else 0.0
-        if state is TargetState.REACHED or held_up > _PATIENCE:
+        if (state is TargetState.REACHED or held_up > _PATIENCE) and tick * DT >= last:
             break
         thought += DT * (state is TargetState.THINKING)
     motion = Motion.through(capsules_of(robot), np.array(positions))
-    clearance = min(motion.to_obstacles(problem.obstacles, DT).distance,
+    clearance = min(motion.to_obstacles((*problem.obstacles, *problem.moving), DT).distance,
                     motion.to_itself().distance)
     progress = result.progress
     return Outcome(
@@ -205,13 +228,14 @@ def fastest_time(
     return float((2.0 * ds / (speed[1:] + speed[:-1])).sum()) + jerk
 
 
-def _job(job: tuple[int, str, str, float]) -> Outcome:
-    seed, method, path, cone = job
+def _job(job: tuple[int, str, str, float, bool]) -> Outcome:
+    seed, method, path, cone, moving = job
     robot = make_robot('panda', 6)
     parameters = PlannerParameters(
         method=method, target_path=path, cone_angle=cone, cone_direction=(0.0, 0.0, -1.0))
     down = Cone(np.array((0.0, 0.0, 1.0)), np.array((0.0, 0.0, -1.0)), cone)
-    return run(robot, problem_of(robot, seed, down if cone < np.pi else None), parameters, seed)
+    problem = problem_of(robot, seed, down if cone < np.pi else None)
+    return run(robot, crossing(robot, problem, seed) if moving else problem, parameters, seed)
 
 
 def main() -> None:
@@ -222,6 +246,8 @@ def main() -> None:
     parser.add_argument('--path', choices=TARGET_PATHS, default=TARGET_PATHS[0])
     parser.add_argument('--cone', type=float, default=180.0, metavar='DEG',
                         help='how far the hand may lean from straight down')
+    parser.add_argument('--moving', action='store_true',
+                        help='a ball crosses the way while the arm is on it')
     parser.add_argument('--jobs', type=int, default=2, help='processes')
     parser.add_argument('--json', type=Path, help='file for every outcome')
     options = parser.parse_args()
@@ -229,7 +255,8 @@ def main() -> None:
     console, outcomes = Console(), {}
     with Pool(options.jobs) as pool:
         for method in methods:
-            jobs = [(options.seed + i, method, options.path, float(np.radians(options.cone)))
+            jobs = [(options.seed + i, method, options.path, float(np.radians(options.cone)),
+                     options.moving)
                     for i in range(options.count)]
             outcomes[method] = list(track(
                 pool.imap(_job, jobs), method, len(jobs), console=Console(stderr=True)))

@@ -1,4 +1,4 @@
-"""Give a pose instead of a twist: the tool goes there in a line, as fast as the joints allow."""
+"""Give a pose instead of a twist: the tool goes there by a short way around what is in between."""
 
 import numpy as np
 
@@ -12,6 +12,7 @@ dt, still = 0.004, np.zeros(6)
 
 begin = robot.kinematics(q)
 target = Pose(begin.tip_position + [-0.09, -0.15, 0.01], begin.tip_rotation)
+# In a straight line instead: PlannerParameters(target_path='straight').
 for tick in range(1000):
     # A target that moves is followed: give `step` another one in any tick.
     result = planner.step(q, still, scene, dt, target=target)

@@ -132,7 +132,7 @@ def _explained(outcomes: Sequence[Outcome], kept: Sequence[Result]) -> dict[str,
 def main(args: list[str] | None = None) -> int:
     """Run the benchmark; return the process's exit status."""
     options = _options(args)
-    console = Console(width=180)
+    console = Console(width=220)
     methods = options.method or list(DEFAULT_METHODS) + [
         name for name in PEERS if importlib.util.find_spec(name)]
     task = Task(tuple(methods), options.margin, options.explain,
