@@ -1,0 +1,132 @@
+"""Free motions, smooth curves and the search: what they promise, against dense samples."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from conftest import make_panda, PANDA_READY
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+from target_run import tip
+
+from redundant_planner.core.constants import gains_of, limits_of, robot_constants
+from redundant_planner.core.horizon.least_norm_path import path_joints
+from redundant_planner.core.obstacles.inflation import inflated_obstacles
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.robot import se3
+from redundant_planner.core.target.free_space import FreeSpace
+from redundant_planner.core.target.joint_curve import JointCurve, resampled
+from redundant_planner.core.target.path_search import PathSearch
+
+PANDA = make_panda()
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def space_among(obstacles, **parameters):
+    p = PlannerParameters(**parameters)
+    constants = robot_constants(PANDA, p)
+    joints = path_joints(constants, gains_of(p), limits_of(PANDA, p))
+    radii = [c.radius + p.clearance_margin for c in PANDA.capsules]
+    return FreeSpace(PANDA, constants, joints, inflated_obstacles(Scene.of(obstacles), radii))
+
+
+def crowd(random):
+    return [Obstacle.box(f'{i}', random.uniform(-0.7, 0.7, 3) + (0.0, 0.0, 0.4),
+                         random.uniform(0.05, 0.3, 3)) for i in range(4)]
+
+
+def answer(work):
+    """What a generator returns at its end."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS)
+def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
+    random = np.random.default_rng(seed)
+    space = space_among(crowd(random))
+    one, other = (space.place(random.uniform(PANDA.position_min, PANDA.position_max))
+                  for _ in range(2))
+    if min(one.room.min(), other.room.min()) < 0.01:
+        return
+    free = answer(space.is_free_between(one, other, 0.01))
+    between = space.rooms(np.linspace(one.q, other.q, 400)).min()
+    assert between > 0.0 if free else between < 0.01
+
+
+@given(SEEDS)
+def test_links_that_do_not_move_have_all_the_room(seed):
+    """A box around the base is nothing to the links that never get there."""
+    random = np.random.default_rng(seed)
+    space = space_among([Obstacle.box('base', (0.0, 0.0, 0.0), (0.1, 0.1, 0.1))])
+    q = random.uniform(PANDA.position_min, PANDA.position_max)
+    fixed = ~PANDA.lever_arm_bounds.any(axis=1)
+    assert np.isinf(space.rooms(q[None])[0][:len(fixed)][fixed]).all()
+
+
+@given(SEEDS, st.integers(2, 9))
+def test_a_curve_begins_and_ends_with_its_polygon_and_bends_smoothly(seed, corners):
+    polygon = np.random.default_rng(seed).uniform(-1.0, 1.0, (corners, 7))
+    curve = JointCurve(polygon)
+    np.testing.assert_allclose(curve.at(np.array([0.0, curve.spans])), polygon[[0, -1]],
+                               atol=1e-12)
+    u = np.linspace(0.0, curve.spans, 2000)
+    points, step = curve.at(u), u[1]
+    assert (points <= polygon.max(axis=0) + 1e-9).all()
+    assert (points >= polygon.min(axis=0) - 1e-9).all()
+    # Continuous to the second derivative: its differences shrink with the step.
+    second = np.diff(points, 2, axis=0) / step**2
+    assert np.abs(np.diff(second, axis=0)).max() < 30.0 * step
+
+
+@given(SEEDS, st.floats(0.02, 0.5))
+def test_resampled_corners_come_no_closer_than_asked(seed, spacing):
+    polygon = np.random.default_rng(seed).uniform(-1.0, 1.0, (4, 7))
+    points = resampled(polygon, np.ones(7), spacing)
+    np.testing.assert_allclose(points[[0, -1]], polygon[[0, -1]])
+    assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() <= spacing + 1e-9
+
+
+@pytest.mark.parametrize('parameters', [
+    {}, {'cone_angle': 0.2, 'cone_direction': (0.0, 0.0, -1.0)}], ids=['free', 'in a cone'])
+def test_a_search_ends_at_the_pose_and_its_way_is_free(parameters):
+    wall = Obstacle.box('wall', (0.45, 0.0, 0.3), (0.6, 0.04, 0.4))
+    space = space_among([wall], **parameters)
+    start = PANDA_READY + np.array([0.8, 0.4, 0.0, 0.0, 0.0, 0.4, 0.0])
+    goal = start * (-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    pose = tip(PANDA, goal)
+    search = PathSearch(space, start, pose)
+    work = search.work()
+    while search.rounds < 2:
+        next(work)
+    way = np.array([place.q for place in search.way])
+    np.testing.assert_array_equal(way[0], start)
+    assert np.abs(se3.pose_error(pose, tip(PANDA, way[-1]), False)).max() < 2e-3
+    for one, other in pairwise(way):
+        assert space.rooms(np.linspace(one, other, 200)).min() > 0.0
+    assert search.length(search.way) == pytest.approx(
+        np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+    first = search.length(search.way)
+    while search.rounds < 5:
+        next(work)
+    # A way with more room may be longer by this factor.
+    assert search.length(search.way) <= 1.3 * first
+
+
+def test_out_of_reach_is_known_after_a_while():
+    space = space_among([])
+    far = se3.displaced(tip(PANDA, PANDA_READY), np.array([1.5, 0.0, 0.0, 0.0, 0.0, 0.0]), False)
+    search = PathSearch(space, PANDA_READY, far)
+    work = search.work()
+    for _ in range(3000):
+        next(work)
+        if search.out_of_reach:
+            break
+    assert search.out_of_reach and search.way is None
