@@ -49,7 +49,8 @@ _GONE = {
                     "the paper's method to the letter is 'method: paper' now"),
 }
 # The first parts of grouped names, of those that came later too.
-GROUPS = tuple(sorted({'drive', *(name.partition('.')[0] for name in RENAMED.values())}))
+GROUPS = tuple(sorted({'cone', 'drive', 'posture', 'target', *(
+    name.partition('.')[0] for name in RENAMED.values())}))
 
 
 def what_became_of(name: str) -> str:

@@ -27,8 +27,8 @@ from redundant_planner.core.target.path_search import PathSearch
 
 Array = npt.NDArray[np.float64]
 
-# Work of a tick, in distances: a millisecond.
-_WORK = 1500
+# Work of a tick, in distances: a millisecond; and in pieces, for those that measure nothing.
+_WORK, _PIECES = 1500, 60
 # How long it looks for a way, at most, and how many attempts are enough [s].
 _LONGEST, _ROUNDS = 1.0, 4
 # Distances between control points of the curve, in turn until it is free [rad].
@@ -215,7 +215,9 @@ class FreeWay:
         polygon = self._found
         if polygon is None:
             until = self._space.spent + (_WORK if self._age < _LONGEST else _WORK // 4)
-            while self._found is None and self._space.spent < until:
+            for _ in range(_PIECES):
+                if self._found is not None or self._space.spent >= until:
+                    break
                 self._found = next(self._thought)
         else:  # this tick has not worked yet
             now = space()

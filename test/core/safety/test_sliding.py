@@ -131,7 +131,7 @@ def test_a_target_behind_a_ball_is_reached_by_sliding(method):
     goal = Pose(BEGIN.tip_position + (0.0, 0.4, 0.0), BEGIN.tip_rotation)
     ends = {}
     for priority in ('yield', 'slide'):
-        run = Run([ball], path_priority=priority, method=method)
+        run = Run([ball], path_priority=priority, method=method, target_path='straight')
         for _ in range(1500):
             result = run.planner.step(run.q, np.zeros(6), run.scene, DT, target=goal)
             run.q = run.q + DT * result.dq

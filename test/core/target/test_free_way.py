@@ -119,6 +119,16 @@ def test_a_goal_in_a_closed_box_is_blocked_until_that_opens():
     run.assert_within_limits()
 
 
+def test_an_arm_that_stands_in_something_still_ends_its_ticks():
+    """From inside an obstacle no way begins; it is said, and the arm goes once that is gone."""
+    inside = Obstacle.box('inside', tip(PANDA, LEFT).position, (0.1, 0.1, 0.1))
+    run, target = Run(start=LEFT, path_priority='strict'), tip(PANDA, RIGHT)
+    progress = run.to(target, 3.0, Scene.of([inside]))
+    assert progress.state in (TargetState.BLOCKED, TargetState.THINKING)
+    assert run.to(target, 15.0).state is TargetState.REACHED
+    run.assert_within_limits()
+
+
 def test_a_thing_that_comes_to_stand_in_the_way_is_gone_around():
     free, target = Run(start=LEFT), tip(PANDA, RIGHT)
     assert free.to(target, 10.0).state is TargetState.REACHED
