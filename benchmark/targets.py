@@ -42,7 +42,7 @@ Array = npt.NDArray[np.float64]
 DT = 0.004
 _LONGEST = 15.0  # [s]
 # A run ends when the arm has been held up for so long [s].
-_HELD_UP, _PATIENCE = (TargetState.BLOCKED, TargetState.OUT_OF_REACH), 2.0
+_HELD_UP, _PATIENCE = (TargetState.BLOCKED, TargetState.OUT_OF_REACH), 5.0
 # Start and goal keep this from obstacles and between links [m], and from joint limits [rad].
 _CLEAR, _LIMIT_DISTANCE = 0.03, 0.1
 _LOWEST = 0.1  # the tip [m]
@@ -51,6 +51,9 @@ _ENDS = (TargetState.REACHED, TargetState.BLOCKED, TargetState.OUT_OF_REACH)
 _STEPS_INTO_CONE = 20
 # A ball that crosses: speed [m/s], radius [m], and when it does [s].
 _BALL_SPEEDS, _BALL_SIZES, _PASSES = (0.15, 0.35), (0.05, 0.09), 1.5
+# How far it stays from the arm's column, which cannot get out of its way, and from the arm at the
+# start [m].
+_FROM_BASE, _CLEAR_AT_FIRST = 0.4, 0.1
 # Samples of a joint path, and over how many of them its direction is averaged.
 _SAMPLES, _AVERAGED = 400, 15
 
@@ -130,14 +133,20 @@ def _distance(robot: Robot, q: Array, obstacle: Obstacle) -> float:
 
 
 def crossing(robot: Robot, problem: Problem, seed: int) -> Problem:
-    """Return a problem with a ball that crosses the way half way, while the arm is on it."""
+    """Return a problem with a ball that crosses the way, while the arm is on it."""
     random = np.random.default_rng(seed)
     begin, end = (robot.kinematics(q).tip_position for q in (problem.start, problem.goal))
-    direction = random.normal(size=3)
-    velocity = random.uniform(*_BALL_SPEEDS) * direction / np.linalg.norm(direction)
-    at = 0.5 * (begin + end) - _PASSES * velocity
-    ball = Obstacle('ball', at, np.full(3, random.uniform(*_BALL_SIZES)), velocity=velocity)
-    return problem._replace(moving=(ball,))
+    base = np.column_stack((np.zeros((6, 2)), np.linspace(0.0, 0.5, 6)))
+    while True:
+        direction = random.normal(size=3)
+        velocity = random.uniform(*_BALL_SPEEDS) * direction / np.linalg.norm(direction)
+        # It does not have to pass half way where that is too near to the base.
+        at = 0.5 * (begin + end) + random.normal(0.0, 0.1, 3) - _PASSES * velocity
+        ball = Obstacle('ball', at, np.full(3, random.uniform(*_BALL_SIZES)), velocity=velocity)
+        course = at + np.outer(np.linspace(0.0, _LONGEST, 200), velocity)
+        past_the_base = np.linalg.norm(course[:, None] - base, axis=2).min() > _FROM_BASE
+        if past_the_base and _distance(robot, problem.start, ball) > _CLEAR_AT_FIRST:
+            return problem._replace(moving=(ball,))
 
 
 def _after(obstacle: Obstacle, seconds: float) -> Obstacle:

@@ -31,13 +31,16 @@ Array = npt.NDArray[np.float64]
 _WORK, _PIECES = 1500, 60
 # How long it looks for a way, at most, and how many attempts are enough [s].
 _LONGEST, _ROUNDS = 1.0, 4
+# After this time without a way a tick works a quarter as much [s].
+_DILIGENT = 5.0
 # Distances between control points of the curve, in turn until it is free [rad].
 _SPACINGS = (0.2, 0.1, 0.05, 0.025)
 # Postures of a curve's span that are looked at; those of a way that is followed, to see whether it
 # is still free, and how often [s].
 _LOOKS_PER_SPAN, _LOOKS_AHEAD, _LOOK_PERIOD = 2, 12, 0.1
-# A search that has found nothing begins anew among other obstacles, at most this often [s].
-_NEWS_PERIOD = 0.5
+# A search that has found nothing begins anew among other obstacles after this time, then after
+# twice as long each [s]: what moves elsewhere must not keep it from an end.
+_NEWS_PERIOD = 2.0
 # An arm this near to where it comes to rest stands [rad, m].
 _STANDS = 1e-3
 # Share of its room that a way keeps in its corners, and what it may have less than its ends [m].
@@ -195,6 +198,7 @@ class FreeWay:
                        self._limits.positions[1], self._limits.positions[0])
         self._follow(np.array((start.arm.q, rest)), _SPACINGS[0], start.previous)
         self.stretch, self._age, self._rest = Stretch.THINKING, 0.0, rest
+        self._until_news = _NEWS_PERIOD
         self._begin(space)
 
     def _begin(self, space: FreeSpace) -> None:
@@ -209,12 +213,13 @@ class FreeWay:
         assert self._thought is not None and self._space is not None and self._way is not None
         self._age += start.dt
         self._look_age += start.dt
-        if self._look_age > _NEWS_PERIOD and self._search.way is None and (
+        if self._look_age > self._until_news and self._search.way is None and (
                 space() is not self._space):
             self._begin(space())
+            self._until_news *= 2.0
         polygon = self._found
         if polygon is None:
-            until = self._space.spent + (_WORK if self._age < _LONGEST else _WORK // 4)
+            until = self._space.spent + (_WORK if self._age < _DILIGENT else _WORK // 4)
             for _ in range(_PIECES):
                 if self._found is not None or self._space.spent >= until:
                     break
