@@ -75,7 +75,7 @@ def test_how_it_leans_is_what_differences_say(q, seed):
 @pytest.mark.parametrize(('robot', 'most'), [(PANDA, 1.0), (FREE_TURN, 1.3)],
                          ids=['six axes', 'three axes'])
 @pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_no_twist_leads_beyond_the_cone(robot, most, method, seed):
     """Whatever is commanded, among obstacles, it leans 5° at most.
@@ -103,7 +103,7 @@ def test_where_the_cone_holds_the_arm_back_the_reason_says_so():
         result = planner.step(q, np.array((0.0, 0.0, 0.0, 0.5, 0.0, 0.0)), EMPTY, DT)
         q = q + DT * result.dq
     assert 'cone.angle' in result.reason and result.scale < 0.1
-    assert 0.9 * ANGLE < lean(PANDA, q) < ANGLE
+    assert 0.8 * ANGLE < lean(PANDA, q) < ANGLE
 
 
 @pytest.mark.parametrize('path', ['free', 'straight'])

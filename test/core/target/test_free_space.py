@@ -47,7 +47,7 @@ def answer(work):
             return end.value
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(SEEDS)
 def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
     random = np.random.default_rng(seed)
