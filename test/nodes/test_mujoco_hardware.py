@@ -83,7 +83,7 @@ def test_with_a_clock_planner_and_arm_go_in_step():
             **ARM, 'clock': True, 'wait_for_cmd_vel': True, 'answer_timeout': 30.0})
         processes.start('planner_node', [ROBOTS / 'panda.yaml'], {
             'urdf': PANDA_URDF, 'use_sim_time': True})
-        live.wait_for(lambda: live.commands and physics(live), 'the first command')
+        live.wait_for(lambda: live.commands and times and physics(live), 'the first command')
         answered = [0]
         message = twist_to_message(SIDEWAYS)
 
