@@ -58,6 +58,14 @@ class Run:
                 break
         return result.progress
 
+    def let_go(self, scene=EMPTY):
+        """Command a twist of zero for a second in the target's place; return the last result."""
+        for _ in range(250):
+            result = self.planner.step(self.q, STILL, scene, DT)
+            self.q = self.q + DT * result.dq
+            self.positions.append(self.q)
+        return result
+
     @property
     def seconds(self):
         return DT * len(self.results)

@@ -17,7 +17,6 @@ from redundant_planner.core.constants import gains_of, joint_weights, limits_of,
 from redundant_planner.core.errors import known, ParameterError, StateError
 from redundant_planner.core.horizon.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
-from redundant_planner.core.kernels import compiled, OutVector, Vector
 from redundant_planner.core.obstacles.clearance import pseudo_distance
 from redundant_planner.core.obstacles.contacts import AllowedContacts, Contact, contacts
 from redundant_planner.core.obstacles.evasion import Evasion, NO_TURN, Turn
@@ -26,6 +25,7 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
+from redundant_planner.core.redundancy.command import limited_twist
 from redundant_planner.core.redundancy.reference import followed_pose, Start
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
@@ -42,10 +42,6 @@ from redundant_planner.core.tick import Memory, Wish, wish, World
 
 Array = npt.NDArray[np.float64]
 
-# Entries of a twist beyond this are cut back before anything is computed with them.
-_ABSURD = 1e100
-# A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
-_STANDSTILL = 1e-12
 # The mean that keeps the jerk limits takes as many ticks as there are in up to a second [s].
 _SHORTEST_TICK = 1e-4
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
@@ -217,7 +213,11 @@ class Planner:
             StateError: `q`, `twist` or `target` does not fit, or `dt` is shorter than 1e-4 s.
         """
         # Sense: where the arm is, and the obstacles near it.
-        command, commanded = self._checked_command(twist, dt)
+        command, commanded = limited_twist(
+            twist, self._controlled, self._parameters.limits_linear_speed,
+            self._parameters.limits_angular_speed)
+        if not _SHORTEST_TICK <= dt < math.inf:
+            raise StateError(f'dt is {dt}; it must be {_SHORTEST_TICK:g} s or longer')
         target = None if target is None else checked_pose(target)
         arm = self.robot.kinematics(self._posture(q, dt))
         pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
@@ -251,7 +251,7 @@ class Planner:
         crowded = joints is None and self._switch(desired, around, commanded, dt)
         result, reason = Filtered.untouched(desired.dq), ''
         if joints is not None:
-            desired = desired._replace(dq=joints.velocity + joints.feedback)
+            desired = desired._replace(dq=joints.wanted)
             result = Filtered.untouched(desired.dq)
         if self._filtered and (joints is not None or not desired.admissible):
             result = self._filter(desired, start, joints)
@@ -326,23 +326,6 @@ class Planner:
         """Whether this tick has no time to improve the joint path ahead."""
         return self._watch.chose or self._evasion.spent > _MANY_DISTANCES
 
-    def _checked_command(self, twist: Array, dt: float) -> tuple[Array, bool]:
-        """Return the controlled part of the twist, no faster than the speed limits.
-
-        And whether there is any.
-        """
-        command = np.array(twist, dtype=float)
-        p, largest = self._parameters, math.nan
-        if command.shape == (6,):
-            largest = _limit_speed(
-                command, self._controlled, p.limits_linear_speed, p.limits_angular_speed)
-        if math.isnan(largest):
-            raise StateError(f'twist is {np.asarray(twist).tolist()}; it takes six finite '
-                             'numbers [m/s, rad/s]')
-        if not _SHORTEST_TICK <= dt < math.inf:
-            raise StateError(f'dt is {dt}; it must be {_SHORTEST_TICK:g} s or longer')
-        return command, largest > 0.0
-
     def _turn(self, start: Start, around: Surroundings) -> Turn:
         """Return the turn of the first joints out of the course of what moves."""
         p = self._parameters
@@ -406,10 +389,7 @@ class Planner:
                 task.turning, start.arm.q, start.previous)
             barriers = desired.barriers
         else:
-            # A path of the joints is kept like one of the tip whose Jacobian is the identity.
-            request = Request(
-                desired.dq, np.eye(self.robot.n), desired.dq, joints.feedback,
-                np.zeros(self.robot.n), start.arm.q, start.previous)
+            request = joints.request(start.arm.q, start.previous)
             barriers = without_null_space(desired.barriers)
         return safe_velocity(
             request, limits, barriers, weights=self._weights, gain=p.clearance_gain,
@@ -453,34 +433,3 @@ class Planner:
             self.robot.capsules[desired.nearest_link].name,
             around.scene.names[around.near[obstacle]],
             pseudo_distance(desired.nearest_normalized_distance), desired.nearest_distance + lead)
-
-
-@compiled
-def _limit_speed(
-    command: OutVector, controlled: Vector, linear_max: float, angular_max: float,
-) -> float:
-    """Take a twist's uncontrolled part away and slow it down to the limits.
-
-    Returns:
-        The largest entry of its controlled part before; NaN if any entry is not finite.
-    """
-    largest = 0.0
-    for i in range(6):
-        if not math.isfinite(command[i]):
-            return np.nan
-        command[i] *= controlled[i]
-        largest = max(largest, abs(command[i]))
-    if largest == 0.0:
-        return largest
-    # The norm of an absurd twist would overflow.
-    scale = largest if largest > _ABSURD else 1.0
-    excess = 1.0 / scale
-    for part in range(2):
-        first = 3 * part
-        x, y, z = command[first] / scale, command[first + 1] / scale, command[first + 2] / scale
-        # A limit of 0 lets nothing pass.
-        limit = max(angular_max if part else linear_max, _STANDSTILL)
-        excess = max(excess, math.sqrt(x * x + y * y + z * z) / limit)
-    for i in range(6):
-        command[i] = command[i] / scale / excess
-    return largest

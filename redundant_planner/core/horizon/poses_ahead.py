@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,12 @@ class Poses(NamedTuple):
 
     position: Matrix
     rotation: Stack
+
+
+def poses_of(poses: Sequence[Pose]) -> Poses:
+    """Return single poses together."""
+    return Poses(np.array([pose.position for pose in poses]),
+                 np.array([pose.rotation for pose in poses]))
 
 
 @entry

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.kernels import compiled, kernel, Matrix, Vector
+from redundant_planner.core.robot import se3
 
 Array = npt.NDArray[np.float64]
 
@@ -39,12 +40,6 @@ def _axis(cone: Cone, rotation: Matrix) -> Array:
         for k in range(3):
             a[i] += rotation[i, k] * cone.axis[k]
     return a
-
-
-@kernel
-def _cross(a: Vector, b: Vector) -> Array:
-    return np.array((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
-                     a[0] * b[1] - a[1] * b[0]))
 
 
 @compiled
@@ -106,10 +101,10 @@ def leaning(cone: Cone, rotation: Matrix, screws: Matrix, dq: Vector) -> Leaning
     omega, change = np.zeros(3), np.zeros(3)
     for j in range(n):
         w = screws[3:, j].copy()
-        change += dq[j] * _cross(omega, w)
+        change += dq[j] * se3.cross(omega, w)
         omega += dq[j] * w
-    velocity = _cross(omega, a)
-    second = _cross(change, a) + _cross(omega, velocity)
+    velocity = se3.cross(omega, a)
+    second = se3.cross(change, a) + se3.cross(omega, velocity)
     cosine = min(max(np.sum(a * d), -1.0), 1.0)
     theta, sine = math.acos(cosine), math.sqrt(1.0 - cosine * cosine)
     speed = math.sqrt(np.sum(velocity * velocity))
@@ -121,7 +116,7 @@ def leaning(cone: Cone, rotation: Matrix, screws: Matrix, dq: Vector) -> Leaning
         found.room[1] = cone.angle + math.asin(
             min(max(np.sum(velocity * d) / speed, -1.0), 0.0))
     for j in range(n):
-        along = _cross(screws[3:, j].copy(), a)
+        along = se3.cross(screws[3:, j].copy(), a)
         if sine > _UPRIGHT:
             found.gradient[0, j] = np.sum(along * d) / sine
         if speed > _STANDS:

@@ -102,7 +102,8 @@ def rotation_vector(rotation: Matrix) -> Array:
 
 
 @kernel
-def _cross(a: Vector, b: Vector) -> Array:
+def cross(a: Vector, b: Vector) -> Array:
+    """Return a × b, (3,)."""
     return np.array((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
                      a[0] * b[1] - a[1] * b[0]))
 
@@ -150,8 +151,8 @@ def integrate(pose: Pose, twist: Vector, dt: float, in_tool: bool) -> Pose:
     first = 0.5 - squared / 24.0 if small else (1.0 - math.cos(angle)) / squared
     second = (1.0 / 6.0 - squared / 120.0 if small
               else (angle - math.sin(angle)) / (squared * angle))
-    sideways = _cross(w, v)
-    moved = v + first * sideways + second * _cross(w, sideways)
+    sideways = cross(w, v)
+    moved = v + first * sideways + second * cross(w, sideways)
     return Pose(pose.position + _turned(pose.rotation, moved), _product(pose.rotation, turn))
 
 

@@ -172,6 +172,12 @@ class FreeSpace:
             begin, end = np.concatenate((begin, middle)), np.concatenate((middle, end))
             before, after = np.vstack((before, rooms)), np.vstack((rooms, after))
 
+    def joint_ranges(self, q: Array) -> tuple[Array, Array]:
+        """Return the (low, high) positions (n,) to look in; joints without limits about q (n,)."""
+        low, high = self.joints.position_min, self.joints.position_max
+        return (np.where(np.isfinite(low), low, q - math.pi),
+                np.where(np.isfinite(high), high, q + math.pi))
+
     def distance(self, one: Array, other: Array) -> Array:
         """Return how far postures (…, n) are apart, joint weights included."""
         apart = (other - one) / self.joints.scaling

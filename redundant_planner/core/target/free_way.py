@@ -20,6 +20,7 @@ from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.safety.stages import Request
 from redundant_planner.core.target.free_space import AT_ONCE, FreeSpace
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.joint_way import JointWay
@@ -68,6 +69,20 @@ class JointMotion(NamedTuple):
 
     velocity: Array
     feedback: Array
+
+    @property
+    def wanted(self) -> Array:
+        """Both together (n,)."""
+        return self.velocity + self.feedback
+
+    def request(self, q: Array, previous: Array) -> Request:
+        """Return this for the filter, from a posture and the velocity of the last tick, (n,) each.
+
+        A path of the joints is kept like one of the tip whose Jacobian is the identity.
+        """
+        n = len(q)
+        return Request(
+            self.wanted, np.eye(n), self.wanted, self.feedback, np.zeros(n), q, previous)
 
 
 class Stretch(Enum):

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import least_norm_path
-from redundant_planner.core.horizon.poses_ahead import Poses
+from redundant_planner.core.horizon.poses_ahead import poses_of
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
@@ -29,8 +29,6 @@ _ASIDE, _AT_ONCE, _ASIDE_SIZE = 10, 5, 0.15
 _NEAR_POSE = 1e-3
 # Every other guess is this far from where the arm is, about [rad, m].
 _SPREAD = 0.5
-# Joints without limits are guessed this far about where they are [rad].
-_TURN = math.pi
 
 
 def goal_postures(
@@ -48,11 +46,7 @@ def goal_postures(
         pose: that the tip shall have.
         random: the numbers.
     """
-    joints = space.joints
-    low = np.maximum(joints.position_min, np.where(np.isfinite(joints.position_min), -np.inf,
-                                                   q - _TURN))
-    high = np.minimum(joints.position_max, np.where(np.isfinite(joints.position_max), np.inf,
-                                                    q + _TURN))
+    low, high = space.joint_ranges(q)
     guess, guesses = q, 0
     while True:
         found = posture_at(space, guess, pose)
@@ -75,20 +69,20 @@ def posture_at(space: FreeSpace, guess: Array, pose: Pose) -> Array | None:
     way = [se3.displaced(tip, share * away, False)
            for share in np.linspace(0.0, 1.0, _APPROACH + 1)[1:]]
     space.spend(_APPROACH + _SETTLE)
-    q = least_norm_path(robot, guess, _poses(way), space.joints)[-1]
+    q = least_norm_path(robot, guess, poses_of(way), space.joints)[-1]
     for _ in range(_SETTLINGS):
-        nodes = least_norm_path(robot, q, _poses([pose] * _SETTLE), space.joints)
+        nodes = least_norm_path(robot, q, poses_of([pose] * _SETTLE), space.joints)
         q = nodes[-1]
         if np.abs(nodes[-1] - nodes[-2]).max() < _SETTLED:
             break
-    return q if _apart(robot, q, pose) < _AT_POSE else None
+    return q if off_pose(robot, q, pose) < _AT_POSE else None
 
 
 def _neighbours(
     space: FreeSpace, q: Array, pose: Pose, random: np.random.Generator,
 ) -> Generator[list[Place], None, None]:
     """Yield the postures that lie along the null space from one (n,)."""
-    robot, joints, due = space.robot, space.joints, _poses([pose] * 2)
+    robot, joints, due = space.robot, space.joints, poses_of([pose] * 2)
     aside = random.normal(size=robot.n)
     for way in (aside, -aside) if robot.n > robot.m else ():
         at, postures = q, []
@@ -102,7 +96,7 @@ def _neighbours(
             space.spend(4)
             if step % _AT_ONCE == 0:
                 yield _places(
-                    space, [at for at in postures if _apart(robot, at, pose) < _NEAR_POSE])
+                    space, [at for at in postures if off_pose(robot, at, pose) < _NEAR_POSE])
                 postures = []
 
 
@@ -112,13 +106,8 @@ def _places(space: FreeSpace, postures: list[Array]) -> list[Place]:
             ] if postures else []
 
 
-def _apart(robot: Robot, q: Array, pose: Pose) -> float:
+def off_pose(robot: Robot, q: Array, pose: Pose) -> float:
     """Return how far the tip is from a pose at a posture (n,), on controlled axes [m, rad]."""
     arm = robot.kinematics(q)
     tip = Pose(arm.tip_position, arm.tip_rotation)
     return float(np.abs(robot.task_rows(se3.pose_error(pose, tip, robot.in_tool))).max())
-
-
-def _poses(poses: list[Pose]) -> Poses:
-    return Poses(np.array([pose.position for pose in poses]),
-                 np.array([pose.rotation for pose in poses]))

@@ -36,8 +36,6 @@ _AS_GOOD = 1.05
 _BRANCH, _BRANCH_IN_CONE = 0.8, 0.2
 # Nodes after which both trees are given up: at first, and at last.
 _FEWEST_NODES, _MOST_NODES = 500, 4000
-# Joints without limits are sampled this far about where they are [rad].
-_TURN = np.pi
 # Attempts at a shortcut, and how many in vain end them.
 _SHORTCUTS, _IN_VAIN = 150, 40
 # A shortcut must save this share of the way.
@@ -71,10 +69,7 @@ class PathSearch:
         self._random = np.random.default_rng(0)
         self._postures = goal_postures(space, start, pose, self._random)
         self._guesses, self._reached = 0, False
-        joints = space.joints
-        bounded = np.isfinite(joints.position_max - joints.position_min)
-        self._low = np.where(bounded, joints.position_min, start - _TURN)
-        self._high = np.where(bounded, joints.position_max, start + _TURN)
+        self._ranges = space.joint_ranges(start)
 
     def work(self) -> Generator[None, None, None]:
         """Search, and pause after each piece of work."""
@@ -138,7 +133,7 @@ class PathSearch:
         while len(trees[0].places) + len(trees[1].places) < most_nodes:
             growing, other = trees if forward else trees[::-1]
             grown = yield from growing.grow(
-                self._random.uniform(self._low, self._high), needed)
+                self._random.uniform(*self._ranges), needed)
             while grown is not None:
                 goal = growing.places[grown]
                 met = yield from other.grow(goal.q, needed)

@@ -14,13 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
-from redundant_planner.core.horizon.poses_ahead import Poses
+from redundant_planner.core.horizon.poses_ahead import poses_of
 from redundant_planner.core.horizon.preview import Preview, PreviewAhead
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.target.goal_postures import off_pose
 from redundant_planner.core.target.moving_target import MovingTarget
 from redundant_planner.core.target.profile import Profile, profile_of
 from redundant_planner.core.target.progress import Progress, TargetState
@@ -220,9 +221,7 @@ class StraightWay:
         # From where the tip should be: what it is beside that is none of the way.
         shares = np.linspace(0.0, 1.0, _NODES + 1)
         ways = [se3.displaced(reference, share * away, False) for share in shares]
-        poses = Poses(np.array([pose.position for pose in ways]),
-                      np.array([pose.rotation for pose in ways]))
-        nodes = least_norm_path(robot, start.arm.q, poses, self._joints)
+        nodes = least_norm_path(robot, start.arm.q, poses_of(ways), self._joints)
         profile = profile_of(
             nodes, max(self.left, _OVER), self._limits.velocity_max,
             self._limits.acceleration_max)
@@ -236,24 +235,17 @@ class StraightWay:
 
     def _miss(self, nodes: Array, target: Pose) -> float:
         """Return how near a way (K, n), or what settles from its end, comes to a target."""
-        due = Poses(target.position[None], target.rotation[None])
-        nearest, q = self._apart(nodes[-1], target), nodes[-1]
+        due = poses_of([target])
+        nearest, q = off_pose(self._robot, nodes[-1], target), nodes[-1]
         if nearest < _OUT_OF_REACH:
             return nearest
-        nearest = min(self._apart(node, target) for node in nodes)
+        nearest = min(off_pose(self._robot, node, target) for node in nodes)
         for _ in range(_SETTLING):
             q = least_norm_path(self._robot, q, due, self._joints)[0]
-            nearest = min(nearest, self._apart(q, target))
+            nearest = min(nearest, off_pose(self._robot, q, target))
             if nearest < _OUT_OF_REACH:
                 break
         return nearest
-
-    def _apart(self, q: Array, target: Pose) -> float:
-        """Return how far the tip is from a target at a posture (n,) [m, rad]."""
-        arm = self._robot.kinematics(q)
-        away = self._in_command_axes(se3.pose_error(
-            target, Pose(arm.tip_position, arm.tip_rotation), False), target)
-        return float(np.abs(away * self._controlled).max())
 
     def _in_command_axes(self, twist: Array, tip: Pose) -> Array:
         """Return a twist (6,) in base axes in those of commands."""

@@ -13,6 +13,7 @@ from redundant_planner.core.horizon.least_norm_path import path_joints
 from redundant_planner.core.horizon.preview import PreviewAhead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.redundancy.command import SLOWEST
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -24,9 +25,6 @@ from redundant_planner.core.target.progress import Progress, TargetState
 from redundant_planner.core.target.straight_way import StraightWay
 
 Array = npt.NDArray[np.float64]
-
-# A speed limit of 0 counts as this, for the sake of a division [m/s, rad/s].
-_STANDSTILL = 1e-12
 
 
 class Aim(NamedTuple):
@@ -54,7 +52,7 @@ class Way:
         self._robot, self._constants = robot, constants
         self._joints = path_joints(constants, gains, limits)
         full_speed = np.maximum(
-            (parameters.limits_linear_speed, parameters.limits_angular_speed), _STANDSTILL)
+            (parameters.limits_linear_speed, parameters.limits_angular_speed), SLOWEST)
         self._line = StraightWay(robot, limits, self._joints, full_speed)
         self._free = None if parameters.target_path == 'straight' else FreeWay(
             robot, limits, constants.scaling, full_speed, parameters.feedback_gain)

@@ -6,7 +6,7 @@ from conftest import make_panda, make_paper_arm, PANDA_READY, PANDA_URDF
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
-from target_run import AT_REST, DT, EMPTY, moved, PANDA, Run, STILL, tip
+from target_run import AT_REST, DT, EMPTY, moved, PANDA, Run, tip
 
 from benchmark.bodies import capsules_of
 from benchmark.closest_approach import Motion
@@ -167,10 +167,7 @@ def test_what_crosses_the_way_is_let_pass_or_gone_around():
 def test_a_twist_takes_over_in_the_middle_of_the_way():
     run = Run(start=LEFT)
     run.to(lambda t: tip(PANDA, RIGHT), 1.2, Scene.of([WALL]))
-    for _ in range(250):
-        result = run.planner.step(run.q, STILL, Scene.of([WALL]), DT)
-        run.q = run.q + DT * result.dq
-        run.positions.append(run.q)
+    result = run.let_go(Scene.of([WALL]))
     assert result.progress is None and np.abs(result.dq).max() < AT_REST
     run.assert_within_limits()
 
