@@ -17,8 +17,8 @@ from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import StepResult
+from redundant_planner.core.target.goal import Target
 
 Array = npt.NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class AnyPlanner(Protocol):
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
-        target: Pose | None = None,
+        target: Target | None = None,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`, as `Planner.step`."""
 
@@ -68,7 +68,7 @@ class Motion:
 def simulate(
     planner: AnyPlanner, start: npt.ArrayLike,
     twist: npt.ArrayLike | Callable[[float], npt.ArrayLike], scene: Scene, duration: float,
-    dt: float, preview: Preview | None = None, target: Pose | None = None,
+    dt: float, preview: Preview | None = None, target: Target | None = None,
 ) -> Motion:
     """Run the planner from rest, in closed loop with an arm that follows at once.
 
@@ -84,7 +84,8 @@ def simulate(
         dt: period of the loop [s].
         preview: the twists that will be commanded, over the time from the start; None if only
             the present one is known.
-        target: where the tip shall go; the twist does not count then.
+        target: a pose of the tip to go to, or joint positions (n,) [rad, m]; the twist does not
+            count then.
 
     Raises:
         StateError: `start` or a twist does not fit the robot, or a time is not positive.

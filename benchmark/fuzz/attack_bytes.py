@@ -77,10 +77,11 @@ def attack(random: Random, folder: Path, tally: Tally) -> None:
         'attached': attach, 'joint_states': joints.positions,
         'obstacles': lambda raw: book.update(raw, clock[0]), 'cmd_vel': command.on_twist,
         'stamped': command.on_twist_stamped, 'preview': command.on_preview,
-        'target': command.on_target}
+        'target': command.on_target,
+        'joint_target': lambda raw: command.on_joint_target(raw, robot, q)}
     makers = {'attached': marker_array, 'joint_states': joint_state, 'obstacles': marker_array,
               'cmd_vel': twist, 'stamped': stamped_twist, 'preview': preview,
-              'target': target_pose}
+              'target': target_pose, 'joint_target': target_joints}
     earlier: list[bytes] = [b'']
     for number in range(MESSAGES):
         topic = str(random.choice(list(takers)))
@@ -157,6 +158,20 @@ def joint_state(random: Random, robot: Robot) -> JointState:
     _head(random, message.header)
     if random.random() < 0.5:
         message.velocity = [_number(random) for _ in names[int(random.integers(2)):]]
+    return message
+
+
+def target_joints(random: Random, robot: Robot) -> JointState:
+    """Return where some joints shall go, mostly within their limits."""
+    count = int(random.integers(0, robot.n + 1))
+    chosen = random.permutation(robot.n)[:count]
+    low, high = (np.nan_to_num(end, posinf=3.0, neginf=-3.0)
+                 for end in (robot.position_min, robot.position_max))
+    message = JointState(
+        name=[robot.joint_names[j] for j in chosen],
+        position=[_number(random) if random.random() < 0.1 else float(
+            random.uniform(low[j], high[j])) for j in chosen])
+    _head(random, message.header)
     return message
 
 

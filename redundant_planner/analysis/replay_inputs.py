@@ -13,7 +13,7 @@ from redundant_planner.analysis.robot_of_bag import robot_of_bag
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.goal import Target
 from redundant_planner.io.bag_reader import Bag, Event
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk
@@ -23,7 +23,7 @@ from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import COMMAND_TIMEOUT, number_of
 from redundant_planner.io.recorded_inputs import sound_twist
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
-from redundant_planner.io.target_reader import read_target
+from redundant_planner.io.target_reader import read_joint_target, read_target
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Inputs:
         ticks: every tick's inputs, if they were recorded, and the times of their recording.
         twists: times and cmd_vel.
         obstacles, attached: times and serialised MarkerArrays.
-        targets: times and target_pose, in the base frame.
+        targets: times and target_pose, in the base frame, or target_joints.
         previews: arrival times, beginnings by their stamps, and what was announced.
         commands: joint_command, stamp [ns] → velocities (n,) [rad/s, m/s].
         raw: times and messages that go into the new bag as they are, by topic.
@@ -59,7 +59,7 @@ class Inputs:
     twists: list[tuple[float, Array]] = field(default_factory=list)
     obstacles: list[tuple[float, bytes]] = field(default_factory=list)
     attached: list[tuple[float, bytes]] = field(default_factory=list)
-    targets: list[tuple[float, Pose]] = field(default_factory=list)
+    targets: list[tuple[float, Target]] = field(default_factory=list)
     previews: list[tuple[float, float, Preview]] = field(default_factory=list)
     commands: dict[int, Array] = field(default_factory=dict)
     raw: list[tuple[str, float, bytes]] = field(default_factory=list)
@@ -80,7 +80,8 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
     joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out)
               for topic in ('joint_states', 'joint_command')}
     for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', 'obstacles',
-                          'attached', 'cmd_vel_preview', 'target_pose', 'robot_description'),
+                          'attached', 'cmd_vel_preview', 'target_pose', 'target_joints',
+                          'robot_description'),
                          order=()):
         if isinstance(item, JointChunk):
             chosen = joints[item.topic].of(item)
@@ -100,11 +101,11 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
             twist = sound_twist(item, bag.left_out)
             if twist is not None:
                 inputs.twists.append((item.arrival, twist))
-        elif item.topic == 'target_pose':
+        elif item.topic in ('target_pose', 'target_joints'):
             try:
                 inputs.targets.append((item.arrival, _target(item, robot)))
             except StateError as error:
-                bag.left_out.add('target_pose', str(error))
+                bag.left_out.add(item.topic, str(error))
             inputs.raw.append((item.topic, item.arrival, item.raw))
         elif item.topic == 'cmd_vel_preview':
             preview = _preview(item)
@@ -160,12 +161,15 @@ def _preview(item: Event) -> Preview | None:
         return None
 
 
-def _target(item: Event, robot: Robot) -> Pose:
-    """Return a target in the base frame.
+def _target(item: Event, robot: Robot) -> Target:
+    """Return a target in the base frame, or of all joints.
 
     Raises:
-        StateError: it is none, or given in another frame, whose place is not in the bag.
+        StateError: it is none, or given in another frame, whose place is not in the bag, or does
+            not name all joints.
     """
+    if item.topic == 'target_joints':
+        return read_joint_target(bytes(item.raw), robot)
     _, frame, pose = read_target(bytes(item.raw))
     if frame not in ('', robot.base_frame):
         raise StateError(f"they are given in frame '{frame}'; without ~/ticks those in "

@@ -29,7 +29,7 @@ from redundant_planner.core.redundancy.command import limited_twist
 from redundant_planner.core.redundancy.reference import followed_pose, Start
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import checked_pose, Pose
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.barriers import without_null_space
 from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, window_of
 from redundant_planner.core.safety.limits import can_stop, slowed_limits
@@ -37,6 +37,7 @@ from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.free_way import JointMotion
+from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.way import Way
 from redundant_planner.core.tick import Memory, Wish, wish, World
 
@@ -190,7 +191,7 @@ class Planner:
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float,
-        ahead: Preview | TwistAhead | None = None, target: Pose | None = None,
+        ahead: Preview | TwistAhead | None = None, target: Target | None = None,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`.
 
@@ -205,9 +206,9 @@ class Planner:
                 (`Preview.ahead` for one that started earlier), or a function of times from now
                 (N + 1,) [s] that returns the mean twists (N, 6) from each to the next. Without
                 it the planner takes the present command as held.
-            target: where the tip shall go, along a straight line and about one axis, as fast as
-                the limits allow; None to follow the twist. With a target, `twist` and `ahead` do
-                not count.
+            target: where to go, as fast as the limits allow: a pose of the tip, or joint positions
+                (n,) [rad, m]; None to follow the twist. With a target, `twist` and `ahead` do not
+                count.
 
         Raises:
             StateError: `q`, `twist` or `target` does not fit, or `dt` is shorter than 1e-4 s.
@@ -218,7 +219,7 @@ class Planner:
             self._parameters.limits_angular_speed)
         if not _SHORTEST_TICK <= dt < math.inf:
             raise StateError(f'dt is {dt}; it must be {_SHORTEST_TICK:g} s or longer')
-        target = None if target is None else checked_pose(target)
+        target = None if target is None else checked_target(target, self.robot)
         arm = self.robot.kinematics(self._posture(q, dt))
         pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
         around = self._watch.look(scene, arm, last.dq, dt)
@@ -258,7 +259,7 @@ class Planner:
             reason = self._reason(result, desired, around, commanded, dt)
         fallbacks = self._fallbacks(result, desired, path is None and joints is None, crowded)
         jerk_kept = self._mean.ticks >= self._ticks(dt)
-        reasons = [*fallbacks, reason] if reason else fallbacks
+        reasons = [text for text in (*fallbacks, self._way.lacks, reason) if text]
         if not jerk_kept:
             reasons = [*reasons, 'jerk gives way to a clearance']
 
@@ -279,7 +280,7 @@ class Planner:
             result.scale, result.stage, '; '.join(reasons), '; '.join(fallbacks),
             desired.clearance_index, self._nearest(desired, around),
             desired.manipulability, pose, desired.task.error, jerk_kept,
-            None if target is None else self._way.progress(target, pose))
+            None if target is None else self._way.progress(target, arm))
 
     def braked(self, dq: Array, dt: float) -> None:
         """Note that something else than the last step's velocity was commanded, to stop the arm.

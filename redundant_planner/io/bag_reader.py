@@ -28,7 +28,10 @@ _EXPECTED = {
     'obstacles': ('visualization_msgs/msg/MarkerArray',),
     'attached': ('visualization_msgs/msg/MarkerArray',), 'robot_description': (_STRING,),
     'configuration': (_STRING,), 'ticks': ('std_msgs/msg/Float64MultiArray',),
+    'target_pose': ('geometry_msgs/msg/PoseStamped',), 'target_joints': (JOINT_STATE,),
     'diagnostics': ('diagnostic_msgs/msg/DiagnosticArray',)}
+# Topics whose messages come in chunks.
+_STREAMS = ('joint_states', 'joint_command')
 # What `--end` is at most, without an end [s].
 _FOREVER = 5e9
 
@@ -109,7 +112,7 @@ class Bag:
                 except RecordingError as error:
                     self.left_out.add(name, str(error))
                     continue
-                if kind == JOINT_STATE:
+                if name in _STREAMS:
                     batch = batches.setdefault(name, JointBatch(name, self.left_out))
                     if not batch.fits(raw):
                         yield from batch.chunk(self.origin_ns)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.robot.se3 import checked_pose, Pose
+from redundant_planner.core.target.goal import Target
 
 Array = npt.NDArray[np.float64]
 
@@ -20,9 +21,10 @@ _BILLION = 10**9
 _HEAD, _TWIST = 8, 6
 # Rows with a count of messages on `attached` add this to their kind; those of 0.1.0 have none.
 _WITH_ATTACHED = 10
-# Rows of a tick that goes to a target add this, and have position and rotation matrix at the end.
-_WITH_TARGET = 20
-_TARGET = 12
+# Rows of a tick that goes to a pose add this, and have position and rotation matrix at the end;
+# those of one that goes to joint positions have these.
+_WITH_POSE, _WITH_JOINTS = 20, 40
+_POSE = 12
 # Stamps count seconds in 32 bits, and every other number is smaller.
 _LARGEST = 2.0**32
 
@@ -47,7 +49,7 @@ class RecordedTick(NamedTuple):
         attached_messages: how many on `attached` had been taken in before the tick.
         twist: (6,) in the command frame [m/s, rad/s].
         q: (n,) measured posture [rad, m].
-        target: that commands the arm in place of the twist, in the base frame; None for none.
+        target: that commands the arm in place of the twist; None for none.
     """
 
     stamp_ns: int
@@ -59,14 +61,16 @@ class RecordedTick(NamedTuple):
     attached_messages: int
     twist: Array
     q: Array
-    target: Pose | None = None
+    target: Target | None = None
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
         kind, target = self.kind + _WITH_ATTACHED, np.empty(0)
-        if self.target is not None:
-            kind += _WITH_TARGET
+        if isinstance(self.target, Pose):
+            kind += _WITH_POSE
             target = np.concatenate((self.target.position, self.target.rotation.ravel()))
+        elif self.target is not None:
+            kind, target = kind + _WITH_JOINTS, self.target
         return array.array('d', np.concatenate((
             (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
              self.preview_messages, self.preview_elapsed, self.attached_messages), self.twist,
@@ -81,13 +85,15 @@ class RecordedTick(NamedTuple):
                 impossible.
         """
         row = np.array(numbers, dtype=float)
-        target = None
-        if row.ndim == 1 and len(row) >= _HEAD + _TARGET and (
-                row[3] >= _WITH_ATTACHED + _WITH_TARGET):
-            target = checked_pose(Pose(row[-_TARGET:-_TARGET + 3],
-                                       row[-_TARGET + 3:].reshape(3, 3)))
-            row = row[:-_TARGET]
-            row[3] -= _WITH_TARGET
+        target: Target | None = None
+        if row.ndim == 1 and len(row) >= _HEAD + n and row[3] >= _WITH_ATTACHED + _WITH_JOINTS:
+            row, target = row[:-n], row[-n:]
+            row[3] -= _WITH_JOINTS
+        elif row.ndim == 1 and len(row) >= _HEAD + _POSE and (
+                row[3] >= _WITH_ATTACHED + _WITH_POSE):
+            target = checked_pose(Pose(row[-_POSE:-_POSE + 3], row[-_POSE + 3:].reshape(3, 3)))
+            row = row[:-_POSE]
+            row[3] -= _WITH_POSE
         if row.ndim == 1 and len(row) >= _HEAD:
             if row[3] >= _WITH_ATTACHED:
                 row[3] -= _WITH_ATTACHED
@@ -101,6 +107,8 @@ class RecordedTick(NamedTuple):
                              f'{[int(kind) for kind in TickKind]}')
         # Of all numbers, `preview_elapsed` alone may be NaN.
         whole, rest = row[[0, 1, 4, 5, 7]], np.delete(row, 6)
+        if target is not None and not isinstance(target, Pose):
+            rest = np.concatenate((rest, target))
         if not (np.abs(rest) <= _LARGEST).all() or np.isinf(row[6]):
             raise StateError('a recorded tick has numbers that are not finite, or beyond '
                              f'{_LARGEST:g}')

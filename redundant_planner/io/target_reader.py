@@ -1,16 +1,23 @@
-"""Reads a serialised PoseStamped, a target of the tip."""
+"""Reads serialised targets: a PoseStamped of the tip, or a JointState of the joints."""
 
 from __future__ import annotations
 
+from collections import Counter
 import math
 import struct
 
 import numpy as np
+import numpy.typing as npt
 
-from redundant_planner.core.errors import StateError
+from redundant_planner.core.errors import known, StateError
 from redundant_planner.core.obstacles.scene import rotations
+from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.goal import checked_target
 from redundant_planner.io.cdr import byte_order, ENCAPSULATION, header_of
+from redundant_planner.io.joint_layout import joint_layout
+
+Array = npt.NDArray[np.float64]
 
 # How far away a target may be [m], and how far from 1 the length of its quaternion.
 _FARTHEST = 1e3
@@ -39,3 +46,35 @@ def read_target(raw: bytes) -> tuple[float, str, Pose]:
         raise StateError(f'its orientation is the quaternion {quaternion.tolist()} of length '
                          f'{length:.3g}; it must be 1')
     return stamp, frame, Pose(position, rotations(quaternion[None] / length)[0])
+
+
+def read_joint_target(raw: bytes, robot: Robot, rest: Array | None = None) -> Array:
+    """Return the joint positions (n,) that a serialised sensor_msgs/JointState asks for.
+
+    Args:
+        raw: the message.
+        robot: the arm.
+        rest: (n,) positions of joints that are not named; None if all have to be.
+
+    Raises:
+        StateError: the bytes are no JointState, a joint is unknown, named twice or missing, or
+            cannot go there.
+    """
+    layout = joint_layout(raw)
+    names = layout.names
+    unknown = [name for name in names if name not in robot.joint_names]
+    if unknown or not names:
+        raise StateError(f'it names {known(unknown) if unknown else "no joint"}; the joints are '
+                         f'{known(robot.joint_names)}')
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise StateError(f'joint names appear twice: {known(twice)}')
+    missing = [name for name in robot.joint_names if name not in names]
+    if missing and rest is None:
+        raise StateError(f'joints are missing: {known(missing)}')
+    values = struct.unpack_from(f'{layout.order}{len(names)}d', raw, layout.positions)
+    # What is not named stays, and is measured a little beyond its limit at times.
+    q = np.clip(np.zeros(robot.n) if rest is None else rest,
+                robot.position_min, robot.position_max)
+    q[[robot.joint_names.index(name) for name in names]] = values
+    return np.asarray(checked_target(q, robot))

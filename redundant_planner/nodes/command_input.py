@@ -10,10 +10,12 @@ import numpy.typing as npt
 from redundant_planner.core.errors import known, ObstacleError, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.goal import Target
 from redundant_planner.io.obstacle_tracker import Transform
 from redundant_planner.io.preview_reader import read_preview
-from redundant_planner.io.target_reader import read_target
+from redundant_planner.io.target_reader import read_joint_target, read_target
 from redundant_planner.nodes import messages
 
 Array = npt.NDArray[np.float64]
@@ -71,7 +73,7 @@ class CommandInput:
 
     def forget_target(self) -> None:
         """Let go of the target."""
-        self._target: Pose | None = None
+        self._target: Target | None = None
         self._from_tip = False
 
     @property
@@ -80,17 +82,17 @@ class CommandInput:
         return self._target is not None
 
     @property
-    def known_target(self) -> Pose | None:
-        """The target in the base frame; None without one, or before its first tick."""
+    def known_target(self) -> Target | None:
+        """The target; None without one, or before its first tick."""
         return None if self._from_tip else self._target
 
-    def target(self, tip: Pose) -> Pose | None:
-        """Return where the tip shall go, in the base frame; None if a twist commands.
+    def target(self, tip: Pose) -> Target | None:
+        """Return where the arm shall go; None if a twist commands.
 
         Args:
-            tip: where it should be now; a target in the tip's frame is meant from there.
+            tip: where it should be now; a pose in the tip's frame is meant from there.
         """
-        if self._target is not None and self._from_tip:
+        if isinstance(self._target, Pose) and self._from_tip:
             self._target, self._from_tip = se3.composed(tip, self._target), False
         return self._target
 
@@ -181,6 +183,21 @@ class CommandInput:
                        'sender and planner use the same clock (use_sim_time)?')
             return
         self._target, self._from_tip = pose, kind == 'tool'
+
+    def on_joint_target(self, raw: bytes, robot: Robot, posture: Array | None) -> None:
+        """Take a serialised target of the joints; it holds until something else is commanded.
+
+        Args:
+            raw: the message.
+            robot: the arm.
+            posture: (n,) measured, where joints stay that are not named; None if unknown.
+        """
+        try:
+            if posture is None:
+                raise StateError('nothing was heard on joint_states yet')
+            self._target, self._from_tip = read_joint_target(raw, robot, posture), False
+        except StateError as error:
+            self._warn(f'target_joints ignored: {error}')
 
     def _from_elsewhere(self, name: str, pose: Pose) -> Pose:
         """Return a pose given in another frame in the base's.

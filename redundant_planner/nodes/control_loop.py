@@ -16,6 +16,7 @@ from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
+from redundant_planner.core.target.goal import Target
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.payload import Payload
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
@@ -121,11 +122,21 @@ class ControlLoop:
 
     def on_target(self, raw: bytes) -> None:
         """Take a serialised target_pose."""
-        if isinstance(self.planner, Planner):
+        if self._goes_to_targets('target_pose'):
             self.command.on_target(raw)
-        else:
-            self._warn(f"target_pose ignored: method '{self.planner.parameters.method}' follows "
-                       'twists only')
+
+    def on_joint_target(self, raw: bytes) -> None:
+        """Take a serialised target_joints."""
+        if self._goes_to_targets('target_joints'):
+            self.command.on_joint_target(raw, self._robot, self.supervisor.posture)
+
+    def _goes_to_targets(self, topic: str) -> bool:
+        """Return whether the method can; if not, say so."""
+        if isinstance(self.planner, Planner):
+            return True
+        self._warn(f"{topic} ignored: method '{self.planner.parameters.method}' follows twists "
+                   'only')
+        return False
 
     def tick(self) -> bool:
         """Command the arm once; an unforeseen exception brings it to rest.
@@ -197,7 +208,7 @@ class ControlLoop:
             self._warn(decision.warning)
         if decision.hold:
             if self.command.has_target:
-                self._warn(f'target_pose forgotten: {decision.hold}')
+                self._warn(f'target forgotten: {decision.hold}')
                 self.command.forget_target()
             self._brake()
         else:
@@ -258,8 +269,8 @@ class ControlLoop:
         assert posture is not None, 'the arm moves only after a measurement'
         return posture
 
-    def _target(self, posture: Array) -> Pose | None:
-        """Return where the tip shall go; None if a twist commands."""
+    def _target(self, posture: Array) -> Target | None:
+        """Return where the arm shall go; None if a twist commands."""
         if not self.command.has_target:
             return None
         tip = self.planner.reference
@@ -277,7 +288,7 @@ class ControlLoop:
 
     def _send(
         self, dq: Array, kind: TickKind, twist: Array = _NO_TWIST,
-        ahead: TwistAhead | None = None, target: Pose | None = None,
+        ahead: TwistAhead | None = None, target: Target | None = None,
     ) -> None:
         """Publish a command (n,) at its moment, and the inputs that led to it."""
         posture = self._posture()

@@ -145,7 +145,9 @@ class PlannerNode(EndableNode):
              loop.command.on_twist_stamped if stamped else loop.command.on_twist),
             # Sent once and meant to be heard, unlike a stream of twists.
             (PolledSubscription(self, PoseStamped, 'target_pose', QoSProfile(depth=10)),
-             loop.on_target)]
+             loop.on_target),
+            (PolledSubscription(self, JointState, 'target_joints', QoSProfile(depth=10)),
+             loop.on_joint_target)]
         self.create_subscription(
             MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)
         self.create_subscription(

@@ -71,7 +71,8 @@ class Reports:
             return
         self._had_target = target is not None
         self._target.publish(diagnostics(
-            progress_status(self._node.get_fully_qualified_name(), target, result),
+            progress_status(
+                self._node.get_fully_qualified_name(), self._robot, target, result),
             self._node.get_clock().now().to_msg()))
 
     def publish_markers(self) -> None:

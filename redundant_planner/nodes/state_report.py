@@ -14,11 +14,13 @@ import pinocchio as pin
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import Nearest, StepResult
+from redundant_planner.core.target.goal import Target
 from redundant_planner.core.target.progress import TargetState
 
 Array = npt.NDArray[np.float64]
 
-# What a target is called on ~/target: place and quaternion, x y z and x y z w, in the base frame.
+# What a target is called on ~/target: of the tip place and quaternion, x y z and x y z w, in the
+# base frame; of the joints name=position for each.
 TARGET = 'target'
 # Tick times that are kept until the next report.
 _TICKS = 5000
@@ -117,13 +119,14 @@ def status_of(
 
 
 def progress_status(
-    name: str, target: Pose | None, result: StepResult | None,
+    name: str, robot: Robot, target: Target | None, result: StepResult | None,
 ) -> DiagnosticStatus:
     """Return the entry of ~/target.
 
     Args:
         name: of the node.
-        target: in the base frame, None without one.
+        robot: the arm.
+        target: None without one.
         result: of the last tick.
     """
     status = DiagnosticStatus(name=f'{name}: target', message='no target')
@@ -138,11 +141,19 @@ def progress_status(
         'angle [rad]': f'{progress.angle:.6f}',
         'expected time [s]': f'{progress.seconds:.3f}',
         'ends off by [m, rad]': f'{progress.miss:.4f}',
+        'farthest joint [rad, m]': f'{progress.joint:.6f}',
         'limited by': result.reason,
-        TARGET: ' '.join(f'{number:.6f}' for number in (
-            *target.position, *pin.Quaternion(target.rotation).coeffs())),
+        TARGET: _target_text(robot, target),
     }.items()]
     return status
+
+
+def _target_text(robot: Robot, target: Target) -> str:
+    if isinstance(target, Pose):
+        return ' '.join(f'{number:.6f}' for number in (
+            *target.position, *pin.Quaternion(target.rotation).coeffs()))
+    return ' '.join(f'{name}={position:.6f}'
+                    for name, position in zip(robot.joint_names, target))
 
 
 def _number(unit: float, statistic: object, values: Collection[float]) -> str:

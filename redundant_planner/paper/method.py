@@ -31,6 +31,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import integrate, Pose, pose_error
 from redundant_planner.core.safety.stages import Stage
 from redundant_planner.core.step_result import Nearest, StepResult
+from redundant_planner.core.target.goal import Target
 
 Array = npt.NDArray[np.float64]
 
@@ -86,7 +87,7 @@ class PaperPlanner:
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
-        target: Pose | None = None,
+        target: Target | None = None,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`: q̇ = J⁺ẋ + k P∇H (Eq. 1).
 

@@ -1,4 +1,4 @@
-"""go_to: sends the tool of a running planner to a pose."""
+"""go_to: sends the arm of a running planner to a pose of its tip, or to joint positions."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from redundant_planner.core.errors import PlannerError, StateError
+from redundant_planner.core.errors import known, PlannerError, StateError
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.progress import TargetState
 from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import configuration_of
@@ -46,6 +47,8 @@ _AT_REST = 2e-3
 _BLOCKED = 5.0
 # Targets that differ by less are one, as their numbers are rounded [m, rad].
 _SAME = 1e-5
+# What the planner says is left of a way.
+_LEFT = ('distance [m]', 'angle [rad]', 'farthest joint [rad, m]')
 _ENDS = (TargetState.BLOCKED.value, TargetState.OUT_OF_REACH.value)
 
 
@@ -64,6 +67,7 @@ class _Client:
         self.status: DiagnosticStatus | None = None
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.target = self.node.create_publisher(PoseStamped, 'target_pose', 1)
+        self.joint_target = self.node.create_publisher(JointState, 'target_joints', 1)
         self.pause = self.node.create_client(SetBool, f'{planner}/pause')
         self.node.create_subscription(
             String, f'{planner}/configuration', self._on_configuration, latched)
@@ -74,7 +78,8 @@ class _Client:
         self._executor = best_executor(self.node.context)
         self._executor.add_node(self.node)
         self._planner = planner
-        self._sent: Pose | None = None
+        self._sent: Target | None = None
+        self._names: tuple[str, ...] = ()
 
     def _on_configuration(self, message: String) -> None:
         self.configuration = message.data
@@ -87,7 +92,7 @@ class _Client:
         status = message.status[0] if message.status else None
         if self._sent is None or status is None:
             return
-        if self.status is not None or _is_of(status, self._sent):
+        if self.status is not None or self.is_of(status, self._sent):
             self.status = status
 
     def spin(self, seconds: float = 0.02) -> None:
@@ -108,14 +113,15 @@ class _Client:
                     'ROS domain and namespace? --planner names another')
             self.spin()
 
-    def tip(self) -> tuple[Robot, Pose]:
-        """Return the planner's robot, and where its tip is now.
+    def arm(self) -> tuple[Robot, Array]:
+        """Return the planner's robot, and its posture (n,) now.
 
         Raises:
             PlannerError: the planner or the arm is not there.
         """
         self.wait_for(lambda: self.configuration, 'configuration of a planner')
-        self.wait_for(lambda: self.target.get_subscription_count(), 'listener on target_pose')
+        for topic in (self.target, self.joint_target):
+            self.wait_for(topic.get_subscription_count, f'listener on {topic.topic_name}')
         self.wait_for(lambda: self.state is not None, 'joint_states')
         notes: list[str] = []
         values = configuration_of(self.configuration, notes)
@@ -123,18 +129,38 @@ class _Client:
             raise StateError(f"the planner's configuration is unusable: {'; '.join(notes)}")
         robot = robot_of_values(values)
         assert self.state is not None
-        arm = robot.kinematics(positions_from_message(self.state, robot.joint_names))
-        return robot, Pose(arm.tip_position, arm.tip_rotation)
+        return robot, positions_from_message(self.state, robot.joint_names)
 
-    def send(self, pose: Pose, frame: str) -> None:
-        """Publish a target in the base's frame."""
+    def send(self, target: Target, robot: Robot) -> None:
+        """Publish a target."""
+        self._sent, self._names = target, robot.joint_names
+        if isinstance(target, Pose):
+            self._send_pose(target, robot.base_frame)
+        else:
+            self.joint_target.publish(
+                JointState(name=list(robot.joint_names), position=target.tolist()))
+
+    def _send_pose(self, pose: Pose, frame: str) -> None:
         message = PoseStamped()
         message.header.frame_id = frame
         place, turn = message.pose.position, message.pose.orientation
         place.x, place.y, place.z = pose.position.tolist()
         turn.x, turn.y, turn.z, turn.w = pin.Quaternion(pose.rotation).coeffs().tolist()
-        self._sent = pose
         self.target.publish(message)
+
+    def is_of(self, status: DiagnosticStatus, target: Target) -> bool:
+        """Return whether a status is of a target."""
+        words = _values(status).get(TARGET, '').split()
+        if not isinstance(target, Pose):
+            named = [word.rpartition('=') for word in words]
+            return tuple(name for name, _, _ in named) == self._names and bool(
+                np.abs(np.array([value for _, _, value in named], float) - target).max() < _SAME)
+        if len(words) != 7 or '=' in words[0]:
+            return False
+        numbers = np.array(words, dtype=float)
+        turn = np.asarray(pin.Quaternion(numbers[3:]).toRotationMatrix())
+        return bool(np.abs(numbers[:3] - target.position).max() < _SAME
+                    and np.abs(turn - target.rotation).max() < _SAME)
 
     def stop(self) -> None:
         """Bring the arm to rest: a pause lets go of the target."""
@@ -177,7 +203,39 @@ def target_of(
                 tip.rotation if turn is None else turn)
 
 
-def follow(client: _Client, target: Pose, console: Console) -> str:
+def joint_target_of(robot: Robot, q: Array, entries: list[str], relative: bool) -> Array:
+    """Return the joint positions (n,) to go to.
+
+    Args:
+        robot: the arm.
+        q: (n,) where it is now; joints that are not named stay there.
+        entries: of the command line, 'joint=position' [rad, m].
+        relative: whether the positions count from `q`.
+
+    Raises:
+        StateError: an entry is none, names no joint of the arm or one twice, or asks for more than
+            its limits allow.
+    """
+    target = np.clip(q, robot.position_min, robot.position_max)
+    named: set[str] = set()
+    for entry in entries:
+        name, _, text = entry.partition('=')
+        try:
+            value = float(text)
+        except ValueError:
+            raise StateError(f"--joints has '{entry}'; it takes joint=position, "
+                             f"as '{robot.joint_names[0]}=0.5'") from None
+        if name not in robot.joint_names:
+            raise StateError(f"--joints has '{entry}'; the joints are {known(robot.joint_names)}")
+        if name in named:
+            raise StateError(f"--joints names '{name}' twice")
+        named.add(name)
+        j = robot.joint_names.index(name)
+        target[j] = value + (q[j] if relative else 0.0)
+    return np.asarray(checked_target(target, robot))
+
+
+def follow(client: _Client, target: Target, console: Console) -> str:
     """Show how far the arm has come until it is there or stays blocked; return the last state.
 
     Raises:
@@ -194,13 +252,11 @@ def follow(client: _Client, target: Pose, console: Console) -> str:
             status = client.status
             assert status is not None
             state, values = status.message, _values(status)
-            if not _is_of(status, target):
+            if not client.is_of(status, target):
                 return 'somebody else commands the arm now'
             share = 1.0 - min(_left(status) / max(first, 1e-9), 1.0)
             bar.update(task, completed=share, description=state, what=(
-                f'{1e3 * float(values["distance [m]"]):.1f} mm, '
-                f'{np.degrees(float(values["angle [rad]"])):.1f}°, '
-                f'another {float(values["expected time [s]"]):.1f} s '
+                f'{_shown(values, target)}, another {float(values["expected time [s]"]):.1f} s '
                 f'{printable(values["limited by"])}'))
             if state == TargetState.REACHED.value:
                 bar.update(task, completed=1.0)
@@ -214,17 +270,6 @@ def follow(client: _Client, target: Pose, console: Console) -> str:
             client.spin()
 
 
-def _is_of(status: DiagnosticStatus, target: Pose) -> bool:
-    """Return whether a status is of a target."""
-    text = _values(status).get(TARGET, '')
-    numbers = np.array(text.split(), dtype=float)
-    if numbers.shape != (7,):
-        return False
-    turn = np.asarray(pin.Quaternion(numbers[3:]).toRotationMatrix())
-    return bool(np.abs(numbers[:3] - target.position).max() < _SAME
-                and np.abs(turn - target.rotation).max() < _SAME)
-
-
 def _values(status: DiagnosticStatus | None) -> dict[str, str]:
     return {} if status is None else {value.key: value.value for value in status.values}
 
@@ -232,7 +277,23 @@ def _values(status: DiagnosticStatus | None) -> dict[str, str]:
 def _left(status: DiagnosticStatus | None) -> float:
     """Return what is left of a way, metres and radians alike."""
     values = _values(status)
-    return float(values.get('distance [m]', 0.0)) + float(values.get('angle [rad]', 0.0))
+    return sum(float(values.get(key, 0.0)) for key in _LEFT)
+
+
+def _shown(values: dict[str, str], target: Target) -> str:
+    """Return what is left of a way for a person."""
+    distance, angle, joint = (float(values[key]) for key in _LEFT)
+    if isinstance(target, Pose):
+        return f'{1e3 * distance:.1f} mm, {np.degrees(angle):.1f}°'
+    return f'farthest joint {joint:.3f} rad or m'
+
+
+def _target_of(options: argparse.Namespace, robot: Robot, q: Array) -> Target:
+    if options.joints is not None:
+        return joint_target_of(robot, q, options.joints, options.relative)
+    arm = robot.kinematics(q)
+    tip = Pose(arm.tip_position, arm.tip_rotation)
+    return target_of(tip, options.position, options.rpy, options.relative)
 
 
 def main(args: list[str] | None = None) -> int:
@@ -245,16 +306,19 @@ def main(args: list[str] | None = None) -> int:
                         help='of the tip in the base frame [m]; left out: where it is')
     parser.add_argument('--rpy', metavar=('ROLL', 'PITCH', 'YAW'), **numbers,
                         help='its orientation [rad]; left out: as it is')
+    parser.add_argument('--joints', metavar='JOINT=POSITION', nargs='+',
+                        help='joint positions instead [rad, m]; left out: as they are')
     parser.add_argument('--relative', action='store_true',
-                        help='both are given from where the tip is, in its own axes')
+                        help='all are given from where the arm is; of the tip, in its own axes')
     parser.add_argument('--wait', action='store_true',
                         help='show a progress bar until the arm is there; Ctrl-C stops the arm')
     parser.add_argument('--planner', default='planner_node', help="name of the planner's node")
     given = sys.argv[1:] if args is None else args
     ros = given.index('--ros-args') if '--ros-args' in given else len(given)
     options = parser.parse_args(given[:ros])
-    if options.position is None and options.rpy is None:
-        parser.error('give --position, --rpy or both')
+    of_tip = options.position is not None or options.rpy is not None
+    if of_tip == (options.joints is not None):
+        parser.error('give --position, --rpy or both, or else --joints')
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     console = Console(markup=False, emoji=False, highlight=False)
     client = None
@@ -262,9 +326,9 @@ def main(args: list[str] | None = None) -> int:
         keep_off_shared_memory()
         rclpy.init(args=['go_to', *given[ros:]], signal_handler_options=SignalHandlerOptions.NO)
         client = _Client(options.planner)
-        robot, tip = client.tip()
-        target = target_of(tip, options.position, options.rpy, options.relative)
-        client.send(target, robot.base_frame)
+        robot, q = client.arm()
+        target = _target_of(options, robot, q)
+        client.send(target, robot)
         if not options.wait:
             # Until it is heard: a publisher that is gone takes its message along.
             client.wait_for(lambda: client.status is not None, 'word of the target on ~/target')

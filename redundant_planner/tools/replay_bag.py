@@ -180,7 +180,8 @@ def write_replay(path: Path, inputs: Inputs, replay: Replay, origin_ns: int, tex
              'robot_description': 'std_msgs/msg/String',
              'obstacles': 'visualization_msgs/msg/MarkerArray',
              'attached': 'visualization_msgs/msg/MarkerArray',
-             'target_pose': 'geometry_msgs/msg/PoseStamped'}
+             'target_pose': 'geometry_msgs/msg/PoseStamped',
+             'target_joints': 'sensor_msgs/msg/JointState'}
     with BagWriter(path) as bag:
         for topic, kind in kinds.items():
             bag.add_topic(f'/{topic}', kind)

@@ -1,15 +1,19 @@
-"""A serialised PoseStamped: read as rclpy reads it after any header; all else is refused."""
+"""Serialised targets: read as rclpy reads them after any header; all else is refused."""
 
 from __future__ import annotations
 
+from conftest import make_panda, PANDA_READY
 from geometry_msgs.msg import PoseStamped
 from hypothesis import given, strategies as st
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.io.target_reader import read_target
+from redundant_planner.io.target_reader import read_joint_target, read_target
+
+PANDA = make_panda()
 
 
 def message(frame='base_link', position=(0.1, -0.2, 0.3), quaternion=(0.0, 0.0, 0.6, 0.8)):
@@ -59,3 +63,41 @@ def test_any_bytes_are_refused_or_read(raw):
 def test_every_shorter_message_is_refused(length):
     with pytest.raises(StateError):
         read_target(message()[:length])
+
+
+def joint_message(names, positions):
+    return bytes(serialize_message(JointState(name=names, position=positions)))
+
+
+def test_joints_come_in_any_order_and_those_not_named_stay():
+    raw = joint_message(['panda_joint6', 'panda_joint2'], [2.0, 0.3])
+    expected = PANDA_READY.copy()
+    expected[[5, 1]] = 2.0, 0.3
+    np.testing.assert_array_equal(read_joint_target(raw, PANDA, PANDA_READY), expected)
+    every = joint_message(list(PANDA.joint_names)[::-1], PANDA_READY[::-1].tolist())
+    np.testing.assert_array_equal(read_joint_target(every, PANDA), PANDA_READY)
+    # A joint that is measured a little beyond its limit does not spoil the target of another.
+    beyond = PANDA_READY.copy()
+    beyond[0] = PANDA.position_max[0] + 1e-3
+    assert read_joint_target(raw, PANDA, beyond)[0] == PANDA.position_max[0]
+
+
+@pytest.mark.parametrize(('names', 'positions', 'what'), [
+    ([], [], 'it names no joint; the joints are'), (['elbow'], [0.1], "it names 'elbow'; the"),
+    (['panda_joint1', 'panda_joint1'], [0.1, 0.2], "joint names appear twice: 'panda_joint1'"),
+    (['panda_joint1'], [np.nan], "joint 'panda_joint1' is not a finite number"),
+    (['panda_joint1'], [9.0], "the target of joint 'panda_joint1' is 9; it must be -2.89")])
+def test_joints_that_there_are_not_or_cannot_go_there_are_refused(names, positions, what):
+    with pytest.raises(StateError, match=what):
+        read_joint_target(joint_message(names, positions), PANDA, PANDA_READY)
+    with pytest.raises(StateError, match='joints are missing|' + what):
+        read_joint_target(joint_message(names, positions), PANDA)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_no_target_of_the_joints_or_a_sound_one(raw):
+    try:
+        q = read_joint_target(raw, PANDA, PANDA_READY)
+    except StateError:
+        return
+    assert (q >= PANDA.position_min).all() and (q <= PANDA.position_max).all()

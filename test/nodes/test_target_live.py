@@ -1,4 +1,4 @@
-"""A pose to go to, with real processes: there, away, around a wall, and bags that replay it."""
+"""Targets, with real processes: there, away, around a wall, and bags that replay it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NAMES = list(ROBOT.joint_names)
 ARM = {'urdf': PANDA_URDF, 'initial_joints': NAMES, 'initial_positions': PANDA_READY.tolist()}
 TOPICS = {
     'joint_states': JointState, 'joint_command': JointState, 'cmd_vel': Twist,
-    'target_pose': PoseStamped, 'planner_node/configuration': String,
+    'target_pose': PoseStamped, 'target_joints': JointState, 'planner_node/configuration': String,
     'planner_node/ticks': Float64MultiArray, 'obstacles': MarkerArray}
 
 
@@ -140,6 +140,40 @@ def test_around_a_wall_and_its_bag_replays(ros, tmp_path):
     postures = np.array([tick.q for _, tick in inputs.ticks])
     motion = Motion.through(capsules_of(ROBOT), postures)
     assert motion.to_obstacles((wall,), 0.004).distance > 0.005
+
+
+def test_to_joint_positions_and_its_bag_replays(ros, tmp_path):
+    joints = ros.node.create_publisher(JointState, 'target_joints', 10)
+    ros.wait_for(joints.get_subscription_count, 'listener')
+    begin = ros.state(NAMES)
+    joints.publish(JointState(name=[NAMES[3], NAMES[0]], position=[begin[3] + 0.3, 0.5]))
+    ros.wait_for(lambda: state(ros) == 'reached', 'reached')
+    ros.wait_for(ros.at_rest, 'rest')
+    expected = begin.copy()
+    expected[[3, 0]] = begin[3] + 0.3, 0.5
+    np.testing.assert_allclose(ros.state(NAMES), expected, atol=1e-3)
+    assert target(ros).split()[0] == f'{NAMES[0]}=0.500000'
+    # From there to a pose, and what it cannot do it refuses by name.
+    goal = tip(ros).tip_position + (0.0, -0.1, 0.05)
+    go(ros, pose(goal, tip(ros).tip_rotation), 'reached')
+    np.testing.assert_allclose(tip(ros).tip_position, goal, atol=1e-3)
+    for message, reason in (
+            (JointState(name=['elbow'], position=[0.1]),
+             "target_joints ignored: it names 'elbow'"),
+            (JointState(name=[NAMES[3]], position=[0.5]),
+             f"target_joints ignored: the target of joint '{NAMES[3]}' is 0.5; it must be")):
+        ros.wait_for(lambda reason=reason: any(reason in line for line in ros.said), reason,
+                     meanwhile=lambda message=message: (
+                         joints.publish(message), ros.spin(0.2)))
+    ros.wait_for(ros.at_rest, 'rest')
+    ros.recorder.write(tmp_path / 'bag')
+    with open_bag(tmp_path / 'bag') as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert sum(isinstance(tick.target, np.ndarray) for _, tick in inputs.ticks) > 100
+    found = differences(inputs, again(inputs, settings_of(PlannerParameters, inputs.values)))
+    assert len(found) > 300 and found.max() < 1e-9
+    assert replay_bag([str(tmp_path / 'bag'), '--out', str(tmp_path / 'other'),
+                       '--method', 'variational']) == 0
 
 
 def test_a_zero_cmd_vel_lets_go_and_bad_targets_are_refused(ros):

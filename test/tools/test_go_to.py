@@ -18,7 +18,7 @@ from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.nodes.messages import markers_of
-from redundant_planner.tools.go_to import main as go_to, target_of
+from redundant_planner.tools.go_to import joint_target_of, main as go_to, target_of
 
 TIP = Pose(np.array([0.1, 0.2, 0.3]), np.asarray(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 2)))
 
@@ -40,7 +40,25 @@ def test_what_it_cannot_use_is_refused(capsys):
         target_of(TIP, [0.0, np.nan, 0.0], None, False)
     with pytest.raises(SystemExit):
         go_to([])
-    assert 'give --position, --rpy or both' in capsys.readouterr().err
+    assert 'give --position, --rpy or both, or else --joints' in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        go_to(['--position', '0', '0', '0', '--joints', 'a=1'])
+
+
+def test_joints_that_are_left_out_stay_and_bad_entries_are_named():
+    q = 0.5 * (ARM.position_min + ARM.position_max)
+    one, two = ARM.joint_names[:2]
+    for relative, expected in ((False, (0.1, q[1])), (True, (q[0] + 0.1, q[1]))):
+        found = joint_target_of(ARM, q, [f'{one}=0.1'], relative)
+        np.testing.assert_array_equal(found[:2], expected)
+        np.testing.assert_array_equal(found[2:], q[2:])
+    for entries, what in (
+            (['elbow=1'], f"'elbow=1'; the joints are '{one}'"),
+            ([one], 'it takes joint=position'), ([f'{one}=a'], 'it takes joint=position'),
+            ([f'{two}=nan'], 'not a finite number'),
+            ([f'{one}=0', f'{one}=0'], f"names '{one}' twice"), ([f'{one}=99'], 'must be')):
+        with pytest.raises(StateError, match=re.escape(what)):
+            joint_target_of(ARM, q, entries, False)
 
 
 def run(ros, *arguments):
@@ -76,6 +94,14 @@ def test_there_blocked_and_stopped_by_ctrl_c():
         assert status == 0, err
         assert 'reached' in out and re.search(r'0\.\d mm', out)
         np.testing.assert_allclose(tip(), begin + (0.0, -0.05, 0.02), atol=1e-3)
+
+        # The joints alike, and back.
+        q = ros.state(ARM.joint_names)
+        for turn in (0.1, -0.1):
+            status, out, err = end(ros, run(
+                ros, '--joints', f'{ARM.joint_names[-1]}={turn}', '--relative', '--wait'))
+            assert status == 0 and 'farthest joint 0.000 rad' in out, (out, err)
+        np.testing.assert_allclose(ros.state(ARM.joint_names), q, atol=1e-3)
 
         # Without --wait it is back at once, and the arm goes on its way.
         status, _, err = end(ros, run(ros, '--position', *there, '--rpy', '0', '0', '0.1'))

@@ -14,6 +14,7 @@ from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.replay_inputs import read_inputs, ticks_of_topics
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.parameters import PlannerParameters, ros_name
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.parameter_files import RobotParameters, settings_of
@@ -180,6 +181,25 @@ def test_whatever_numbers_a_tick_has_it_is_sound_or_refused(numbers):
     else:
         assert np.isfinite([tick.stamp_ns, tick.time, *tick.twist, *tick.q]).all()
         assert min(tick.stamp_ns, tick.obstacle_messages, tick.preview_messages) >= 0
+
+
+@pytest.mark.parametrize('target', [
+    None, np.arange(7.0), Pose(np.array([0.1, 0.2, 0.3]), np.diag([1.0, -1.0, -1.0]))])
+def test_every_kind_of_target_survives_the_way_there_and_back(target):
+    tick = RecordedTick(10, 1.0, TickKind.GOING_ON, 0, 0, np.nan, 0, np.zeros(6), np.ones(7),
+                        target)
+    found = RecordedTick.of(tick.numbers(), 7)
+    assert type(found.target) is type(target) and found.kind is TickKind.GOING_ON
+    one, other = (given if isinstance(given, Pose) else (given,)
+                  for given in (found.target, target))
+    for part, wanted in zip(one, other, strict=True):
+        np.testing.assert_array_equal(part, wanted)
+    np.testing.assert_array_equal(found.q, tick.q)
+    if target is not None:
+        spoiled = tick.numbers()
+        spoiled[-1] = np.nan
+        with pytest.raises(StateError):
+            RecordedTick.of(spoiled, 7)
 
 
 def test_a_recorded_tick_survives_the_way_there_and_back_and_nonsense_is_refused():

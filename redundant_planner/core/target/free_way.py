@@ -22,6 +22,7 @@ from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Request
 from redundant_planner.core.target.free_space import AT_ONCE, FreeSpace
+from redundant_planner.core.target.goal import Target
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.joint_way import JointWay
 from redundant_planner.core.target.path_search import PathSearch
@@ -55,6 +56,8 @@ _ANOTHER, _NEAR, _NEAR_ANGLE = 1e-3, 0.02, 0.1
 # An arm is stuck whose way has become shorter by less than this share of full speed for this
 # long [s].
 _LEAST_SPEED, _PATIENCE = 0.01, 0.5
+# Deadband of the feedback at the end [rad, m].
+_AT_REST = 1e-5
 # Largest speed of the feedback to the way [rad/s, m/s].
 _FEEDBACK_SPEED = 0.2
 
@@ -121,7 +124,7 @@ class FreeWay:
     def reset(self) -> None:
         """Forget the target and the way."""
         self.stretch, self.out_of_reach = Stretch.LINE, False
-        self._target: Pose | None = None
+        self._target: Target | None = None
         self._way: JointWay | None = None
         self._thought: Generator[Array | None, None, None] | None = None
         self._found: Array | None = None  # control points (k, n) of a curve
@@ -137,17 +140,17 @@ class FreeWay:
         return self._way.seconds if self._way is not None else 0.0
 
     def motion(
-        self, start: Start, target: Pose, space: Callable[[], FreeSpace], *, stuck: bool,
+        self, start: Start, target: Target, space: Callable[[], FreeSpace], *, stuck: bool,
     ) -> JointMotion | None:
         """Return what the joints shall do; None where the tip shall go on in a line.
 
         Args:
             start: of the tick.
-            target: in the base frame.
+            target: where it ends; of the joints, it leads there to the last bit.
             space: returns where the arm may be now, the same object while nothing changes.
             stuck: whether the tip is stuck on the line.
         """
-        if self._target is None or self._is_another(target):
+        if self._is_another(target):
             self.reset()
             self._target = target
             if not self._is_near(start):
@@ -156,12 +159,15 @@ class FreeWay:
             self._think(start, space())
         elif self.stretch is Stretch.THINKING:
             self._go_on_thinking(start, space)
-        elif self.stretch is Stretch.FOLLOWING and self._way is not None and self._way.over:
+        elif self._goes_to_pose and self._way is not None and self._way.over:
             self.stretch = Stretch.LINE
         if self.stretch is Stretch.LINE or self._way is None:
             return None
         here, velocity = self._way.velocity(start.dt)
-        back = self._gain * (here - start.arm.q)
+        off = here - start.arm.q
+        if self._way.over and np.abs(off).max() < _AT_REST:
+            off = np.zeros_like(off)
+        back = self._gain * off
         return JointMotion(velocity, np.clip(back, -_FEEDBACK_SPEED, _FEEDBACK_SPEED))
 
     def went_on(self, followed: float, residual: float, dt: float) -> None:
@@ -174,12 +180,21 @@ class FreeWay:
         else:
             self._stuck += dt
 
-    def _is_another(self, target: Pose) -> bool:
-        assert self._target is not None
-        return float(np.abs(se3.pose_error(target, self._target, False)).max()) > _ANOTHER
+    @property
+    def _goes_to_pose(self) -> bool:
+        """Whether the tip shall be somewhere, rather than the joints."""
+        return isinstance(self._target, Pose)
+
+    def _is_another(self, target: Target) -> bool:
+        known = self._target
+        if isinstance(target, Pose) and isinstance(known, Pose):
+            return float(np.abs(se3.pose_error(target, known, False)).max()) > _ANOTHER
+        return (known is None or isinstance(target, Pose) or isinstance(known, Pose)
+                or not np.array_equal(target, known))
 
     def _is_near(self, start: Start) -> bool:
-        assert self._target is not None
+        if not isinstance(self._target, Pose):
+            return False
         away = self._robot.full_twist(self._robot.task_rows(
             se3.pose_error(self._target, start.reference, self._robot.in_tool)))
         return bool(np.linalg.norm(away[:3]) < _NEAR and np.linalg.norm(away[3:]) < _NEAR_ANGLE)
@@ -197,7 +212,7 @@ class FreeWay:
             return stuck and not self.out_of_reach
         if self.stretch is Stretch.THINKING:
             return self._strayed(start) > _PUSHED
-        if self._stuck >= _PATIENCE or self._strayed(start) > _STRAYED:
+        if self._strayed(start) > _STRAYED or (self._stuck >= _PATIENCE and not self._way.over):
             return True
         self._look_age += start.dt
         if self._look_age < _LOOK_PERIOD or space() is self._space:
@@ -250,7 +265,7 @@ class FreeWay:
             self._follow(polygon, 0.0, start.previous)
             self.stretch, self.tried_line = Stretch.FOLLOWING, False
             return
-        if not self.tried_line and self._search.way is None and (
+        if self._goes_to_pose and not self.tried_line and self._search.way is None and (
                 self._age >= _LONGEST or self.out_of_reach):
             # As near as it gets.
             self.stretch, self.tried_line = Stretch.LINE, True
@@ -260,6 +275,11 @@ class FreeWay:
         """Whether it has looked for a way for as long as it may, and found none."""
         return (self.stretch is Stretch.THINKING and self._age >= _LONGEST
                 and self._search.way is None)
+
+    @property
+    def lacks(self) -> str:
+        """Why it stands still or goes as near as a line takes it; empty where neither is so."""
+        return self._search.lacks if self.tried_line or self.in_vain else ''
 
     def _thoughts(self, space: FreeSpace) -> Generator[Array | None, None, None]:
         """Yield None while looking for a way, and then the control points (k, n) of a curve."""

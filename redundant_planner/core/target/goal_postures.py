@@ -60,6 +60,13 @@ def goal_postures(
         yield None
 
 
+def only_posture(space: FreeSpace, q: Array) -> Generator[list[Place] | None, None, None]:
+    """Yield one posture (n,), and then None for ever, as there is no other."""
+    yield [space.place(q)]
+    while True:
+        yield None
+
+
 def posture_at(space: FreeSpace, guess: Array, pose: Pose) -> Array | None:
     """Return a posture (n,) with the tip at a pose; None where a guess leads elsewhere."""
     robot = space.robot

@@ -1,4 +1,4 @@
-"""The way from a posture to any that has the tip at a pose: two trees, then shortcuts.
+"""The way from a posture to another, or to any with the tip at a pose: two trees, then shortcuts.
 
 Trees grow from both ends towards random postures and each other (RRT-Connect, Kuffner and LaValle
 2000). What they find is shortened by straight motions between random points of it, and to other
@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.free_space import FreeSpace, Place
-from redundant_planner.core.target.goal_postures import goal_postures
+from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal_postures import goal_postures, only_posture
 
 Array = npt.NDArray[np.float64]
 Way = list[Place]
@@ -53,13 +54,13 @@ class PathSearch:
         out_of_reach: whether no posture with the tip at the pose is known after many guesses.
     """
 
-    def __init__(self, space: FreeSpace, start: Array, pose: Pose) -> None:
+    def __init__(self, space: FreeSpace, start: Array, target: Target) -> None:
         """Prepare.
 
         Args:
             space: where the arm may be.
             start: (n,) where the way begins.
-            pose: that the tip shall have at its end.
+            target: where it ends.
         """
         self.way: Way | None = None
         self.room = self._price = np.inf
@@ -67,7 +68,9 @@ class PathSearch:
         self._space, self._start = space, space.begin_at(start)
         self._goals: list[Place] = []
         self._random = np.random.default_rng(0)
-        self._postures = goal_postures(space, start, pose, self._random)
+        self._postures = (
+            goal_postures(space, start, target, self._random) if isinstance(target, Pose) else
+            only_posture(space, target))
         self._guesses, self._reached = 0, False
         self._ranges = space.joint_ranges(start)
 
@@ -86,6 +89,15 @@ class PathSearch:
             if way is not None:
                 yield from self._shortened(way, needed)
             self.rounds += self.way is not None
+
+    @property
+    def lacks(self) -> str:
+        """What keeps it from finding a way, as far as it knows."""
+        if self.out_of_reach:
+            return 'no posture has the tip at the target'
+        if not self._goals:
+            return 'at the target the arm would touch something'
+        return 'no way to the target is found'
 
     def length(self, way: Way) -> float:
         """Return how long a way is, joint weights included [rad]."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
+# A target is reached this near to it [m, rad].
+REACHED = 2e-4
+
 
 class TargetState(Enum):
     """What the arm does about its target."""
@@ -25,6 +28,8 @@ class Progress(NamedTuple):
         angle: of the rotation that is left [rad].
         seconds: until it is there if nothing gets in the way [s].
         miss: how near its way comes to the target: 0 if it leads there [m, rad].
+        joint: what the joint that is furthest from a target of the joints is off by; 0 on the way
+            to a pose [rad, m].
     """
 
     state: TargetState
@@ -32,3 +37,4 @@ class Progress(NamedTuple):
     angle: float
     seconds: float
     miss: float
+    joint: float = 0.0

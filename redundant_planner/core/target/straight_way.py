@@ -24,7 +24,7 @@ from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.target.goal_postures import off_pose
 from redundant_planner.core.target.moving_target import MovingTarget
 from redundant_planner.core.target.profile import Profile, profile_of
-from redundant_planner.core.target.progress import Progress, TargetState
+from redundant_planner.core.target.progress import Progress, REACHED, TargetState
 
 Array = npt.NDArray[np.float64]
 
@@ -46,8 +46,6 @@ _CLOSE_BEHIND = 0.05
 _CLOSING_TIME = 0.08
 # A way shorter than this is over [s at full speed].
 _OVER = 1e-7
-# A tip is at its target this near to it [m, rad].
-_REACHED = 2e-4
 # An arm is blocked whose way has become shorter by less than this share of full speed for this
 # long [s].
 _LEAST_SPEED, _PATIENCE = 0.01, 0.5
@@ -176,7 +174,7 @@ class StraightWay:
         miss = 0.0 if self._looked is None else self._looked.miss
         miss = miss if miss > _OUT_OF_REACH else 0.0
         state = TargetState.MOVING
-        if max(distance, angle) < _REACHED:
+        if max(distance, angle) < REACHED:
             state = TargetState.REACHED
         elif self._stuck >= _PATIENCE:
             state = TargetState.OUT_OF_REACH if miss else TargetState.BLOCKED

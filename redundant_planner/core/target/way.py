@@ -1,4 +1,7 @@
-"""The way to a target: free, in a line, or first the one and then the other."""
+"""The way to a target: free, in a line, or first the one and then the other.
+
+To joint positions it is always free.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,15 @@ from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy.command import SLOWEST
 from redundant_planner.core.redundancy.reference import Start
+from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Filtered
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.free_way import FreeWay, JointMotion, Stretch
-from redundant_planner.core.target.progress import Progress, TargetState
+from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.progress import Progress, REACHED, TargetState
 from redundant_planner.core.target.straight_way import StraightWay
 
 Array = npt.NDArray[np.float64]
@@ -54,54 +59,69 @@ class Way:
         full_speed = np.maximum(
             (parameters.limits_linear_speed, parameters.limits_angular_speed), SLOWEST)
         self._line = StraightWay(robot, limits, self._joints, full_speed)
-        self._free = None if parameters.target_path == 'straight' else FreeWay(
+        self._free = FreeWay(
             robot, limits, constants.scaling, full_speed, parameters.feedback_gain)
+        self._straight = parameters.target_path == 'straight'
+        self._range = limits.positions[1], limits.positions[0]
         self._space: tuple[InflatedObstacles, FreeSpace] | None = None
 
     def reset(self) -> None:
         """Forget the target."""
         self._line.reset()
-        if self._free is not None:
-            self._free.reset()
+        self._free.reset()
 
     def aim(
-        self, start: Start, target: Pose, followed: Array, delay: float,
+        self, start: Start, target: Target, followed: Array, delay: float,
         obstacles: Callable[[], InflatedObstacles],
     ) -> Aim:
         """Return what to do in a tick.
 
         Args:
             start: of the tick.
-            target: in the base frame.
+            target: where to; joints go no further than their limits allow.
             followed: (6,) the twist of the last tick as far as it was followed, in command axes.
             delay: of the commands behind what is planned [s].
             obstacles: returns those now, for links with their margin; the same object while
                 nothing changes.
         """
         line, free = self._line, self._free
-        target = line.sense(target, start.dt)
-        if free is not None and line.follows_stream:
+        if isinstance(target, Pose):
+            target = line.sense(target, start.dt)
+        else:
+            line.reset()
+            target = self._within_limits(target)
+        joints = None
+        if isinstance(target, Pose) and (self._straight or line.follows_stream):
             free.reset()
-        elif free is not None:
+        else:
             joints = free.motion(
                 start, target, lambda: self._space_among(obstacles()), stuck=line.is_stuck)
-            if joints is not None:
-                line.begin()
-                twist = start.arm.jacobian @ joints.velocity
-                return Aim(self._robot.full_twist(twist), None, joints)
+        if joints is not None:
+            line.begin()
+            twist = start.arm.jacobian @ joints.velocity
+            return Aim(self._robot.full_twist(twist), None, joints)
+        assert isinstance(target, Pose)  # a free way leads the joints to the end
         return Aim(*line.command(start, target, followed, delay), None)
 
     def went_on(self, result: Filtered, dt: float) -> None:
         """Note what a tick made of what the joints should do."""
-        if self._free is not None:
-            self._free.went_on(result.scale, result.residual, dt)
+        self._free.went_on(result.scale, result.residual, dt)
 
-    def progress(self, target: Pose, tip: Pose) -> Progress:
-        """Return how far the tip has come."""
-        found = self._line.progress(target, tip)
-        if self._free is None or found.state is TargetState.REACHED:
-            return found
+    def progress(self, target: Target, arm: Kinematics) -> Progress:
+        """Return how far the arm has come, from where it is."""
+        tip = Pose(arm.tip_position, arm.tip_rotation)
+        if isinstance(target, Pose):
+            found = self._line.progress(target, tip)
+        else:
+            target = self._within_limits(target)
+            there = self._robot.kinematics(target)
+            off = float(np.abs(target - arm.q).max(initial=0.0))
+            found = self._line.progress(
+                Pose(there.tip_position, there.tip_rotation), tip)._replace(
+                    state=TargetState.REACHED if off < REACHED else TargetState.MOVING, joint=off)
         free = self._free
+        if found.state is TargetState.REACHED:
+            return found
         if free.out_of_reach:
             if found.state is not TargetState.MOVING:
                 return found._replace(state=TargetState.OUT_OF_REACH)
@@ -112,6 +132,15 @@ class Way:
                 state=(TargetState.THINKING if free.stretch is Stretch.THINKING
                        else TargetState.MOVING), seconds=free.seconds)
         return found
+
+    @property
+    def lacks(self) -> str:
+        """Why there is no way to the target; empty where there is one, or the arm still thinks."""
+        return self._free.lacks
+
+    def _within_limits(self, q: Array) -> Array:
+        """Return joint positions (n,) no further than the limits and their margin allow."""
+        return np.clip(q, *self._range)
 
     def _space_among(self, obstacles: InflatedObstacles) -> FreeSpace:
         """Return where the arm may be, the same object for obstacles that are the same."""
