@@ -90,7 +90,7 @@ def test_an_arm_that_is_pushed_comes_back():
     run.to(goal, 10.0)
     run.q = run.q + 0.05
     run.positions = [run.q]
-    for _ in range(750):
+    for _ in range(1500):
         result = run.planner.step(run.q, STILL, Scene.of(()), DT, target=goal)
         run.q = run.q + DT * result.dq
     np.testing.assert_allclose(run.q, goal, atol=REACHED)
