@@ -24,19 +24,20 @@ from redundant_planner.io.bag_reader import Bag, Event, open_bag
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk, JointsMissingError
 from redundant_planner.io.left_out import LeftOut
-from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.payload import Payload
 from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import (
     COMMAND_TIMEOUT,
     number_of,
+    obstacle_topics,
     recorded_obstacles,
 )
 from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
 
 Array = npt.NDArray[np.float64]
 
-_TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'obstacles', 'attached', 'diagnostics')
+_TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'attached', 'diagnostics')
 
 
 def analyse(
@@ -105,7 +106,10 @@ class _Motion:
             notes: takes what is missing.
         """
         self._bag, self._source, self._robot, self._notes = bag, source, robot, notes
-        self._tracker = ObstacleTracker(recorded_obstacles(values, notes), (), transform=as_it_is)
+        self._topics = bag.call(obstacle_topics(values))
+        self._tracker = ObstacleSources.of(
+            len(self._topics), recorded_obstacles(values, notes), (), transform=as_it_is,
+            estimate_velocity=False)
         self._scenes = KeptScenes(self._tracker.scene)
         self._twists = HeldTwists(
             number_of(values, 'incoming_command_timeout', COMMAND_TIMEOUT, 10.0))
@@ -132,7 +136,8 @@ class _Motion:
             RecordingError: there are no joint states between.
             JointsMissingError: they are of another robot.
         """
-        for item in self._bag.read(_TOPICS, begin, end, progress, order=('obstacles', 'attached')):
+        for item in self._bag.read((*_TOPICS, *self._topics), begin, end, progress,
+                                   order=(*self._topics, 'attached')):
             if isinstance(item, Event):
                 self._take_event(item)
                 continue
@@ -153,8 +158,9 @@ class _Motion:
             twist = sound_twist(event, self._bag.left_out)
             if twist is not None:
                 self._twists.add(event.arrival, twist)
-        elif event.topic == 'obstacles':
-            self._tracker.update(event.raw, event.arrival)
+        elif event.topic in self._topics:
+            self._tracker.update(
+                event.raw, event.arrival, self._topics.index(event.topic))
             self._tracker.expire(event.arrival)
             self._scenes.add(event.arrival, self._tracker.scene)
         elif event.topic == 'attached':

@@ -20,7 +20,7 @@ from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk
 from redundant_planner.io.plausible import LARGEST
 from redundant_planner.io.preview_reader import read_preview
 from redundant_planner.io.printable import printable
-from redundant_planner.io.recorded_configuration import COMMAND_TIMEOUT, number_of
+from redundant_planner.io.recorded_configuration import COMMAND_TIMEOUT, number_of, obstacle_topics
 from redundant_planner.io.recorded_inputs import sound_twist
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.io.target_reader import read_joint_target, read_target
@@ -45,7 +45,9 @@ class Inputs:
             joint state (n,) [rad, m].
         ticks: every tick's inputs, if they were recorded, and the times of their recording.
         twists: times and cmd_vel.
-        obstacles, attached: times and serialised MarkerArrays.
+        obstacles: times and serialised MarkerArrays, of each topic with obstacles.
+        topics: names of these, without a slash before them.
+        attached: times and serialised MarkerArrays.
         targets: times and target_pose, in the base frame, or target_joints.
         previews: arrival times, beginnings by their stamps, and what was announced.
         commands: joint_command, stamp [ns] → velocities (n,) [rad/s, m/s].
@@ -57,7 +59,8 @@ class Inputs:
     parts: list[tuple[float, float, Array]] = field(default_factory=list)
     ticks: list[tuple[float, RecordedTick]] = field(default_factory=list)
     twists: list[tuple[float, Array]] = field(default_factory=list)
-    obstacles: list[tuple[float, bytes]] = field(default_factory=list)
+    obstacles: list[list[tuple[float, bytes]]] = field(default_factory=lambda: [[]])
+    topics: list[str] = field(default_factory=lambda: ['obstacles'])
     attached: list[tuple[float, bytes]] = field(default_factory=list)
     targets: list[tuple[float, Target]] = field(default_factory=list)
     previews: list[tuple[float, float, Preview]] = field(default_factory=list)
@@ -77,9 +80,12 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
     if robot is None:
         raise RecordingError(f"'{bag.path}': {'; '.join(notes)}")
     inputs = Inputs(robot, values, notes=notes)
+    inputs.topics = obstacle_topics(values)
+    places = {topic: i for i, topic in enumerate(bag.call(inputs.topics))}
+    inputs.obstacles = [[] for _ in places]
     joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out)
               for topic in ('joint_states', 'joint_command')}
-    for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', 'obstacles',
+    for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', *places,
                           'attached', 'cmd_vel_preview', 'target_pose', 'target_joints',
                           'robot_description'),
                          order=()):
@@ -112,11 +118,13 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
             if preview is not None:
                 inputs.previews.append((item.arrival, _begin(item, bag.origin_ns), preview))
         else:
-            if item.topic == 'obstacles':
-                inputs.obstacles.append((item.arrival, item.raw))
-            elif item.topic == 'attached':
+            topic = item.topic
+            if topic in places:
+                inputs.obstacles[places[topic]].append((item.arrival, item.raw))
+                topic = inputs.topics[places[topic]]
+            elif topic == 'attached':
                 inputs.attached.append((item.arrival, item.raw))
-            inputs.raw.append((item.topic, item.arrival, item.raw))
+            inputs.raw.append((topic, item.arrival, item.raw))
     if not inputs.parts:
         joints['joint_states'].check_found()
         raise RecordingError('; '.join((
@@ -205,13 +213,15 @@ def _ticks_at(
 ) -> list[tuple[float, RecordedTick]]:
     """Make up the ticks of a part, whose first joint state is `start`."""
     arrivals = [np.array([entry[0] for entry in listed]) for listed in (
-        inputs.twists, inputs.obstacles, inputs.previews, inputs.attached, inputs.targets)]
+        inputs.twists, inputs.obstacles[0], inputs.previews, inputs.attached, inputs.targets)]
     latest, known, announced, attached, aimed = (
         np.searchsorted(a, times, side='right') for a in arrivals)
+    more = np.array([np.searchsorted([at for at, _ in listed], times, side='right')
+                     for listed in inputs.obstacles[1:]], dtype=int).reshape(-1, len(times)).T
     ticks = []
     kind, still = TickKind.STARTING, np.zeros(6)
-    for time, twist, scene, preview, held, aim in zip(
-            times, latest, known, announced, attached, aimed):
+    for time, twist, scene, preview, held, aim, others in zip(
+            times, latest, known, announced, attached, aimed, more):
         fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
         # Whichever came last commands.
         target = inputs.targets[aim - 1][1] if aim and not (
@@ -219,6 +229,7 @@ def _ticks_at(
         elapsed = time - inputs.previews[preview - 1][1] if preview and fresh else np.nan
         ticks.append((float(time), RecordedTick(
             0, float(time), kind, int(scene), int(preview), float(elapsed), int(held),
-            inputs.twists[twist - 1][1] if fresh else still, start, target)))
+            inputs.twists[twist - 1][1] if fresh else still, start, target,
+            tuple(others.tolist()))))
         kind = TickKind.GOING_ON
     return ticks

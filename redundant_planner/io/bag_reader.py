@@ -62,9 +62,11 @@ class Topic(NamedTuple):
 class Bag:
     """A bag that is open for reading, its times counted from its first message."""
 
-    def __init__(self, files: list[BagFile], path: Path, topics: dict[str, Topic]) -> None:
+    def __init__(
+        self, files: list[BagFile], path: Path, topics: dict[str, Topic], prefix: str,
+    ) -> None:
         """Use `open_bag`."""
-        self._files, self._topics, self.path = files, topics, path
+        self._files, self._topics, self.path, self._prefix = files, topics, path, prefix
         self.origin_ns = min(file.begin_ns for file in files)
         self.duration = max((max(file.end_ns for file in files) - self.origin_ns) * 1e-9, 0.0)
         self.left_out = LeftOut()
@@ -76,6 +78,23 @@ class Bag:
         return {short: sum(file.counts[channel] for file in self._files
                            for channel in _channels(file, topic))
                 for short, topic in self._topics.items()}
+
+    def call(self, names: Sequence[str]) -> list[str]:
+        """Return by which names several topics with obstacles are read from now on.
+
+        Args:
+            names: theirs, without a slash before them, or the ends of them.
+        """
+        short = ['obstacles', *(f'obstacles of topic {i}' for i in range(1, len(names)))]
+        recorded = {Topic(*topic) for file in self._files for topic in file.topics.values()}
+        for one, name in zip(short, names):
+            found = [topic for topic in recorded if topic.kind in _EXPECTED['obstacles']
+                     and topic.name.endswith(f'/{name}')]
+            self._topics.pop(one, None)
+            if found:
+                self._topics[one] = min(found, key=lambda topic: (
+                    not topic.name.startswith(self._prefix), topic.name.count('/')))
+        return short
 
     @property
     def problems(self) -> list[str]:
@@ -152,9 +171,14 @@ def open_bag(path: Path, namespace: str = '') -> Iterator[Bag]:
             raise RecordingError('; '.join((f"'{path}' holds no messages", *(
                 problem for file in files for problem in file.problems))))
         topics, remarks = _chosen_topics(path, files, namespace)
-        bag = Bag([file for file in files if file.counts], path, topics)
+        bag = Bag([file for file in files if file.counts], path, topics, _prefix(namespace))
         bag.remarks += remarks
         yield bag
+
+
+def _prefix(namespace: str) -> str:
+    """Return what the names of a namespace's topics begin with."""
+    return f'/{namespace.strip("/")}/' if namespace.strip('/') else '/'
 
 
 def _channels(file: BagFile, topic: Topic) -> list[int]:
@@ -170,7 +194,7 @@ def _chosen_topics(
     """
     topics: dict[str, Topic] = {}
     problems = []
-    prefix = f'/{namespace.strip("/")}/' if namespace.strip('/') else '/'
+    prefix = _prefix(namespace)
     recorded = list(dict.fromkeys(Topic(*topic) for file in files
                                   for topic in file.topics.values()))
     for topic in sorted(recorded, key=lambda topic: topic.name.count('/')):

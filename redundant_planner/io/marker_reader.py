@@ -34,12 +34,14 @@ ADD, DELETE, DELETEALL = 0, 2, 3
 MOST_MARKERS = 20_000
 
 # What the walk finds of a marker, in words of the payload: where it begins, where the characters
-# of its frame and namespace are and their number of bytes, where the other fields are, and how
-# many points it has.
+# of its frame, namespace and text are and their number of bytes, where the other fields are, and
+# how many points it has.
 (_BEGIN, _FRAME, _FRAME_LENGTH, _NAMESPACE, _NAMESPACE_LENGTH, _NUMBERS, _POSE, _LIFETIME, _POINTS,
- _POINT_COUNT, _COLUMNS) = range(11)
+ _POINT_COUNT, _TEXT, _TEXT_LENGTH, _COLUMNS) = range(13)
 _POSE_WORDS, _COLOR_WORDS = 20, 4  # position, orientation and scale; colour
 _NO_POINTS: Array = np.empty((0, 3))
+# What a text begins with that says how fast a thing moves, and how many characters it may have.
+_TWIST, _LONGEST_TWIST = b'twist ', 300
 
 
 class Listing(NamedTuple):
@@ -68,6 +70,8 @@ class Markers(NamedTuple):
         scales: (k, 3) full extents [m].
         lifetimes: (k,) [s], 0 for unlimited.
         points: k arrays (p, 3), what markers that list many things have [m].
+        twists: (k, 6) velocities and angular velocities as their texts say: NaN where one says
+            nothing of it, ∞ where it is no twist [m/s, rad/s]. None if no text says anything.
     """
 
     listing: Listing
@@ -77,6 +81,7 @@ class Markers(NamedTuple):
     scales: Array
     lifetimes: Array
     points: list[Array]
+    twists: Array | None
 
 
 class MarkerReader:
@@ -106,7 +111,22 @@ class MarkerReader:
         pose = _poses(doubles, found)
         return Markers(
             self._last[2], _seconds(words, found[:, _BEGIN]), pose[:, :3], pose[:, 3:7],
-            pose[:, 7:], _seconds(words, found[:, _LIFETIME]), _points(doubles, found))
+            pose[:, 7:], _seconds(words, found[:, _LIFETIME]), _points(doubles, found),
+            _twists(raw, found))
+
+
+def places_in(raw: bytes) -> list[tuple[int, int, int, int]]:
+    """Return where the markers of a message have stamp, pose, points and text.
+
+    In words from the end of the encapsulation on.
+
+    Args:
+        raw: a sound little-endian MarkerArray.
+    """
+    words, _ = words_and_doubles(raw, '<')
+    found = _found(words, len(raw) - ENCAPSULATION, _count(raw, '<'))
+    return [(int(row[_BEGIN]), int(row[_POSE]), int(row[_POINTS]), int(row[_TEXT]))
+            for row in found]
 
 
 def _count(raw: bytes, order: str) -> int:
@@ -183,6 +203,7 @@ def _walk(words: Indices, size: int, count: int) -> Indices:
         at = _after(words, at, 1, 1)  # its format
         at = _after(words, at, 1, 1)  # its data
         at = _after(words, at, 1, 8)  # uv_coordinates
+        marker[_TEXT], marker[_TEXT_LENGTH] = at + 1, words[at] if at < end else 0
         at = _after(words, at, 1, 1)  # text
         at = _after(words, at, 1, 1)  # mesh_resource
         at = _after(words, at, 1, 1)  # mesh_file: its name
@@ -212,6 +233,28 @@ def _points(doubles: Array, found: npt.NDArray[np.intp]) -> list[Array]:
         return [_NO_POINTS] * len(found)
     return [doubles[at:at + 3 * count].reshape(-1, 3) for at, count in zip(
         (found[:, _POINTS] // 2).tolist(), counts.tolist())]
+
+
+def _twists(raw: bytes, found: npt.NDArray[np.intp]) -> Array | None:
+    """Return what the texts of all markers say of their twists, see `Markers`."""
+    lengths = found[:, _TEXT_LENGTH]
+    if not (lengths > len(_TWIST)).any():
+        return None
+    twists = np.full((len(found), 6), np.nan)
+    for i in np.flatnonzero(lengths > len(_TWIST)).tolist():
+        begin = ENCAPSULATION + 4 * int(found[i, _TEXT])
+        if raw[begin:begin + len(_TWIST)] == _TWIST:
+            twists[i] = _twist_of(raw[begin + len(_TWIST):begin + int(lengths[i]) - 1])
+    return None if np.isnan(twists).all() else twists
+
+
+def _twist_of(written: bytes) -> Array:
+    """Return the twist (6,) that is written; ∞ where there is none."""
+    try:
+        twist = np.array(written[:_LONGEST_TWIST].split(), dtype=float)
+    except ValueError:
+        return np.full(6, np.inf)
+    return twist if twist.shape == (6,) and np.isfinite(twist).all() else np.full(6, np.inf)
 
 
 @compiled

@@ -39,6 +39,10 @@ class PlannerNodeParameters:
     enable_stamped_cmd_vel: bool = parameter(
         False, description='cmd_vel is TwistStamped instead of Twist: it says its frame (base or '
                            'tip) and when it was meant.')
+    obstacle_topics: tuple[str, ...] = parameter(
+        ('obstacles',),
+        description='Topics with obstacles (MarkerArray), the names of markers for each on its '
+                    'own. ~/body of another planner_node makes it an arm to keep clear of.')
     estimate_obstacle_velocity: bool = parameter(
         False, runtime=True,
         description='Obstacles seen at one place after another are taken to move on like that, '
@@ -69,6 +73,9 @@ class PlannerNodeParameters:
         """Check every value."""
         check(self)
         walls(self.workspace)
+        if not self.obstacle_topics or len(set(self.obstacle_topics)) < len(self.obstacle_topics):
+            raise ParameterError(f"parameter 'obstacle_topics' is {list(self.obstacle_topics)}; "
+                                 'it takes one topic at least, each once')
 
 
 @dataclass(frozen=True)

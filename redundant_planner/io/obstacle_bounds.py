@@ -14,6 +14,7 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.io.marker_reader import ADD, Listing, Markers
 from redundant_planner.io.marker_shapes import count_of, LISTS, SINGLE
+from redundant_planner.io.plausible import FASTEST
 
 Array = npt.NDArray[np.float64]
 
@@ -25,7 +26,7 @@ _QUATERNION_TOLERANCE = 0.01
 _TYPES = {**SINGLE, **LISTS}
 _MESH_RESOURCE = 10
 # What `faults` returns.
-GOOD, _BAD_SCALE, _BAD_PLACE, _BAD_TURN, _BAD_LIFETIME = range(5)
+GOOD, _BAD_SCALE, _BAD_PLACE, _BAD_TURN, _BAD_LIFETIME, BAD_TWIST = range(6)
 
 
 def checked(obstacles: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
@@ -83,6 +84,8 @@ def _fault_text(fault: int, center: Array, quaternion: Array, scale: Array, life
         _BAD_TURN: f'has the orientation quaternion {quaternion.tolist()} of length '
                    f'{math.hypot(*quaternion.tolist()):.3g}; it must be 1',
         _BAD_LIFETIME: f'has a lifetime of {life:g} s; it must be positive, or 0 for unlimited',
+        BAD_TWIST: "has a text that begins with 'twist', but no six numbers follow, up to "
+                   f'{FASTEST:g} m/s and rad/s',
     }[fault]
 
 

@@ -1,11 +1,17 @@
-"""Obstacles that one marker lists by the thousand: they come and go together, and rest."""
+"""Obstacles that one marker lists by the thousand: they come, move and go together."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.obstacles.motion_estimate import STATIC_AFTER
 from redundant_planner.io.marker_shapes import Things
+
+Array = npt.NDArray[np.float64]
 
 # A marker's namespace and id.
 Key = tuple[str, int]
@@ -17,12 +23,17 @@ class _Listed(NamedTuple):
     Attributes:
         name: of all its obstacles.
         things: they themselves.
+        velocities, angular_velocities: (k, 3) theirs [m/s, rad/s].
         expiry: when they end [s], ∞ for never.
+        silent: when they count as static [s], ∞ if they are.
     """
 
     name: str
     things: Things
+    velocities: Array
+    angular_velocities: Array
     expiry: float
+    silent: float
 
 
 class ObstacleLists:
@@ -32,9 +43,10 @@ class ObstacleLists:
         """Begin without any."""
         self._listed: dict[Key, _Listed] = {}
 
-    def __iter__(self) -> Iterator[tuple[str, Things]]:
-        """Go through the markers: the name of all that one lists, and they themselves."""
-        return ((one.name, one.things) for one in self._listed.values())
+    def __iter__(self) -> Iterator[tuple[str, Things, Array, Array]]:
+        """Go through the markers: name, things, velocities and angular velocities of each."""
+        return ((one.name, one.things, one.velocities, one.angular_velocities)
+                for one in self._listed.values())
 
     def __contains__(self, key: Key) -> bool:
         """Return whether a marker is among them."""
@@ -47,14 +59,34 @@ class ObstacleLists:
 
     @property
     def next_change(self) -> float:
-        """When the next one ends [s], ∞ for never."""
-        return min((one.expiry for one in self._listed.values()), default=float('inf'))
+        """When the next one ends or counts as static [s], ∞ for never."""
+        return min((min(one.expiry, one.silent) for one in self._listed.values()),
+                   default=float('inf'))
 
-    def put(self, key: Key, things: Things, expiry: float) -> None:
-        """Take what a marker lists for all that it has, until it ends [s]."""
+    def put(
+        self, key: Key, things: Things, expiry: float, twist: Array | None, origin: Array,
+        now: float,
+    ) -> None:
+        """Take what a marker lists for all that it has.
+
+        Args:
+            key: the marker's.
+            things: what it lists.
+            expiry: when that ends [s].
+            twist: (6,) they move like one body: the velocity of its origin and its angular
+                velocity [m/s, rad/s]; None if it rests.
+            origin: (3,) of the body [m].
+            now: [s].
+        """
         namespace, number = key
+        resting = np.zeros_like(things.centers)
+        velocities = angular = resting
+        if twist is not None:
+            angular = resting + twist[3:]
+            velocities = twist[:3] + np.cross(angular, things.centers - origin)
         self._listed[key] = _Listed(
-            f'{namespace}/{number}' if namespace else str(number), things, expiry)
+            f'{namespace}/{number}' if namespace else str(number), things, velocities, angular,
+            expiry, now + STATIC_AFTER if velocities.any() or angular.any() else np.inf)
 
     def remove(self, key: Key) -> bool:
         """Drop what a marker listed; return whether there was any."""
@@ -67,8 +99,15 @@ class ObstacleLists:
         return had
 
     def expire(self, now: float) -> bool:
-        """Drop what has ended by now [s]; return whether anything has."""
-        ended = [key for key, one in self._listed.items() if one.expiry <= now]
-        for key in ended:
-            del self._listed[key]
-        return bool(ended)
+        """Drop what has ended by now [s], stop what is silent; return whether anything changed."""
+        changed = False
+        for key, one in list(self._listed.items()):
+            if one.expiry <= now:
+                del self._listed[key]
+                changed = True
+            elif one.silent <= now:
+                resting = np.zeros_like(one.velocities)
+                self._listed[key] = one._replace(
+                    velocities=resting, angular_velocities=resting, silent=np.inf)
+                changed = True
+        return changed

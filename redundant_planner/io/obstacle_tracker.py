@@ -24,8 +24,16 @@ from redundant_planner.io.marker_reader import (
     SPHERE,
 )
 from redundant_planner.io.marker_shapes import lists_many, shaped, single, sizes, things_of
-from redundant_planner.io.obstacle_bounds import checked, faults, GOOD, problem_of, problem_of_list
+from redundant_planner.io.obstacle_bounds import (
+    BAD_TWIST,
+    checked,
+    faults,
+    GOOD,
+    problem_of,
+    problem_of_list,
+)
 from redundant_planner.io.obstacle_lists import ObstacleLists
+from redundant_planner.io.plausible import FASTEST
 
 Array = npt.NDArray[np.float64]
 # A frame's origin (3,) and axes (3, 3) in the base frame.
@@ -36,6 +44,7 @@ MOST_OBSTACLES = 20_000
 # Frames besides the base's that the markers of one message may use.
 MOST_FRAMES = 20
 
+_NO_TWISTS: Array = np.empty((0, 6))
 # Problems of one message that are spelt out.
 _SPELT_OUT = 3
 
@@ -137,7 +146,8 @@ class ObstacleTracker:
         except StateError as error:
             return [f'obstacles: {error}']
         known_one = self._known
-        if known_one is None or markers.listing is not known_one.listing or faults(
+        if known_one is None or markers.twists is not None or (
+                markers.listing is not known_one.listing) or faults(
                 markers.positions, markers.quaternions, markers.scales, markers.lifetimes,
                 known_one.first).any():
             problems = self._apply(markers, now)
@@ -168,16 +178,20 @@ class ObstacleTracker:
             same.rows, np.zeros(len(same.rows), np.intp),
             np.ascontiguousarray(markers.positions[part]), rotations(markers.quaternions[part]),
             *shaped(same.types, markers.scales[part]), markers.stamps[part],
-            markers.lifetimes[part]), now)
+            markers.lifetimes[part], _NO_TWISTS), now)
 
     def _apply(self, markers: Markers, now: float) -> list[str]:
         """Apply markers that may do anything to any obstacle; return a sentence per problem."""
         listing = markers.listing
         actions, types = listing.actions, listing.types
         centers, axes = markers.positions.copy(), rotations(markers.quaternions)
-        reasons = self._into_base(listing, centers, axes)
+        twists = markers.twists
+        no_twist = None if twists is None else (np.abs(twists) > FASTEST).any(axis=1)
+        reasons = self._into_base(listing, centers, axes, twists)
         full = sizes(types, markers.scales)
         found = faults(centers, markers.quaternions, full, markers.lifetimes, 0)
+        if no_twist is not None:
+            found[no_twist] = BAD_TWIST
         good = (actions == ADD) & (single(types) | lists_many(types)) & (found == GOOD)
         if reasons:
             good &= np.array([frame not in reasons for frame in listing.frames])
@@ -204,7 +218,7 @@ class ObstacleTracker:
             rows, (actions[places] == DELETE).astype(np.intp), centers[places], axes[places],
             # A marker that deletes may be of any type.
             *shaped(np.where(adds, types, SPHERE)[places], full[places]), markers.stamps[places],
-            markers.lifetimes[places]), now)
+            markers.lifetimes[places], _NO_TWISTS if twists is None else twists[places]), now)
         lists = good & lists_many(types)
         lists[:first] = False
         if lists.any() or self._lists.count:
@@ -244,8 +258,11 @@ class ObstacleTracker:
                 problems.append(problem)
                 continue
             life = float(markers.lifetimes[place])
+            twist = None if markers.twists is None else markers.twists[place]
             self._lists.put(key, things_of(markers, place, centers[place], axes[place]),
-                            now + life if life > 0.0 else np.inf)
+                            now + life if life > 0.0 else np.inf,
+                            None if twist is None or np.isnan(twist[0]) else twist,
+                            centers[place], now)
             if key in self._index:
                 self._tracks.expiry[self._index[key]] = -np.inf
             self._changed = True
@@ -259,8 +276,10 @@ class ObstacleTracker:
         self._changed = self._changed or changed
         self._next_change = min(self._next_change, soonest)
 
-    def _into_base(self, listing: Listing, centers: Array, axes: Array) -> dict[str, str]:
-        """Turn centres (k, 3) and axes (k, 3, 3) into the base frame, in place.
+    def _into_base(
+        self, listing: Listing, centers: Array, axes: Array, twists: Array | None,
+    ) -> dict[str, str]:
+        """Turn centres (k, 3), axes (k, 3, 3) and twists (k, 6) into the base frame, in place.
 
         Returns:
             Frame → why its markers cannot be used.
@@ -282,6 +301,9 @@ class ObstacleTracker:
             with np.errstate(invalid='ignore', over='ignore'):  # `faults` looks at the result
                 centers[chosen] = centers[chosen] @ frame_axes.T + origin
                 axes[chosen] = frame_axes @ axes[chosen]
+                if twists is not None:
+                    for part in (slice(0, 3), slice(3, 6)):
+                        twists[chosen, part] = twists[chosen, part] @ frame_axes.T
         return reasons
 
     def _rows_of(
@@ -345,12 +367,11 @@ class ObstacleTracker:
              static.velocities, static.angular_velocities),
             (tracks.shapes, tracks.centers, tracks.rotations, tracks.half_extents,
              tracks.velocities, tracks.angular_velocities)]
-        for name, things in self._lists:
+        for name, things, velocities, angular in self._lists:
             if name in self._hidden:
                 continue
-            resting = np.zeros_like(things.centers)
             names += (name,) * len(things.shapes)
-            parts.append((*things, resting, resting))
+            parts.append((*things, velocities, angular))
         arrays = [np.concatenate(part) for part in zip(*parts)]
         for array in arrays:
             array.setflags(write=False)

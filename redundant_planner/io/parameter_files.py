@@ -58,6 +58,14 @@ class RobotParameters:
                         "URDF's root link.")
     tip_frame: str = parameter(
         '', description='Link whose origin is the end effector. Required.')
+    mount_frame: str = parameter(
+        '', description='Frame in which the base stands at mount_pose, and in which commands and '
+                        'obstacles are given then: that of a cell, or of several arms. Empty: '
+                        "the URDF's links are all there is.")
+    mount_pose: tuple[float, ...] = parameter(
+        (), low=-1e3, high=1e3, unit='m, rad',
+        description="Pose of the URDF's root link in mount_frame: x y z, and nothing, roll pitch "
+                    'yaw, or a quaternion x y z w.')
     axes: tuple[str, ...] = parameter(
         AXES, choices=AXES,
         description='Axes of the twist that are controlled; the others are left to the null '

@@ -71,6 +71,14 @@ def number_of(values: dict[str, Any], name: str, default: float, highest: float)
     return float(value) if sound else default
 
 
+def obstacle_topics(values: dict[str, Any]) -> list[str]:
+    """Return the names of the topics with obstacles, without a slash before them."""
+    given = values.get('obstacle_topics')
+    named = isinstance(given, list) and given and all(
+        isinstance(name, str) and name.strip('/') for name in given)
+    return [name.strip('/') for name in given] if named and given else ['obstacles']
+
+
 def recorded_obstacles(values: dict[str, Any], notes: list[str]) -> list[Obstacle]:
     """Return the static obstacles of a recorded configuration; none if they are unusable."""
     try:

@@ -25,6 +25,8 @@ _WITH_ATTACHED = 10
 # those of one that goes to joint positions have these.
 _WITH_POSE, _WITH_JOINTS = 20, 40
 _POSE = 12
+# Rows add this for each further topic with obstacles, whose counts come last of all.
+_WITH_TOPIC = 100
 # Stamps count seconds in 32 bits, and every other number is smaller.
 _LARGEST = 2.0**32
 
@@ -50,6 +52,7 @@ class RecordedTick(NamedTuple):
         twist: (6,) in the command frame [m/s, rad/s].
         q: (n,) measured posture [rad, m].
         target: that commands the arm in place of the twist; None for none.
+        more_messages: as `obstacle_messages`, of further topics with obstacles.
     """
 
     stamp_ns: int
@@ -62,6 +65,7 @@ class RecordedTick(NamedTuple):
     twist: Array
     q: Array
     target: Target | None = None
+    more_messages: tuple[int, ...] = ()
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
@@ -71,10 +75,11 @@ class RecordedTick(NamedTuple):
             target = np.concatenate((self.target.position, self.target.rotation.ravel()))
         elif self.target is not None:
             kind, target = kind + _WITH_JOINTS, self.target
+        kind += _WITH_TOPIC * len(self.more_messages)
         return array.array('d', np.concatenate((
             (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
              self.preview_messages, self.preview_elapsed, self.attached_messages), self.twist,
-            self.q, target)).tobytes())
+            self.q, target, self.more_messages)).tobytes())
 
     @classmethod
     def of(cls, numbers: Sequence[float], n: int) -> RecordedTick:
@@ -84,17 +89,8 @@ class RecordedTick(NamedTuple):
             StateError: there are more or fewer numbers, the kind is none, or a number is
                 impossible.
         """
-        row = np.array(numbers, dtype=float)
-        target: Target | None = None
-        if row.ndim == 1 and len(row) >= _HEAD + n and row[3] >= _WITH_ATTACHED + _WITH_JOINTS:
-            row, target = row[:-n], row[-n:]
-            row[3] -= _WITH_JOINTS
-        elif row.ndim == 1 and len(row) >= _HEAD + _POSE and (
-                row[3] >= _WITH_ATTACHED + _WITH_POSE):
-            target = checked_pose(Pose(row[-_POSE:-_POSE + 3], row[-_POSE + 3:].reshape(3, 3)))
-            row = row[:-_POSE]
-            row[3] -= _WITH_POSE
-        if row.ndim == 1 and len(row) >= _HEAD:
+        row, target, more = _parted(np.array(numbers, dtype=float).ravel(), n)
+        if len(row) >= _HEAD:
             if row[3] >= _WITH_ATTACHED:
                 row[3] -= _WITH_ATTACHED
             else:
@@ -106,7 +102,8 @@ class RecordedTick(NamedTuple):
             raise StateError(f'a recorded tick is of kind {row[3]:g}; it must be one of '
                              f'{[int(kind) for kind in TickKind]}')
         # Of all numbers, `preview_elapsed` alone may be NaN.
-        whole, rest = row[[0, 1, 4, 5, 7]], np.delete(row, 6)
+        whole = np.concatenate((row[[0, 1, 4, 5, 7]], more))
+        rest = np.concatenate((np.delete(row, 6), more))
         if target is not None and not isinstance(target, Pose):
             rest = np.concatenate((rest, target))
         if not (np.abs(rest) <= _LARGEST).all() or np.isinf(row[6]):
@@ -117,4 +114,23 @@ class RecordedTick(NamedTuple):
                              'be whole numbers, 0 or more')
         return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
                    int(row[4]), int(row[5]), float(row[6]), int(row[7]),
-                   row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:], target)
+                   row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:], target,
+                   tuple(more.astype(int).tolist()))
+
+
+def _parted(row: Array, n: int) -> tuple[Array, Target | None, Array]:
+    """Return a row without what only some have at their end, its target, and its last counts."""
+    target: Target | None = None
+    more = np.empty(0)
+    if len(row) > _HEAD and _WITH_TOPIC <= row[3] < _WITH_TOPIC * (len(row) - _HEAD):
+        topics = int(row[3] // _WITH_TOPIC)
+        row, more = row[:-topics], row[-topics:]
+        row[3] -= topics * _WITH_TOPIC
+    if len(row) >= _HEAD + n and row[3] >= _WITH_ATTACHED + _WITH_JOINTS:
+        row, target = row[:-n], row[-n:]
+        row[3] -= _WITH_JOINTS
+    elif len(row) >= _HEAD + _POSE and row[3] >= _WITH_ATTACHED + _WITH_POSE:
+        row, pose = row[:-_POSE], row[-_POSE:]
+        target = checked_pose(Pose(pose[:3], pose[3:].reshape(3, 3)))
+        row[3] -= _WITH_POSE
+    return row, target, more

@@ -22,6 +22,7 @@ from redundant_planner.core.robot.simulated_arm import joint_ranges
 from redundant_planner.core.robot.urdf import Joint, read_urdf
 from redundant_planner.io.collision_geometry import links_without_shape
 from redundant_planner.io.link_shapes import capsule_entry, fitted_capsules
+from redundant_planner.io.mount import mounted
 from redundant_planner.io.parameter_files import (
     check_keys,
     entries_of,
@@ -150,10 +151,11 @@ def build_robot(
     if not p.tip_frame:
         raise ParameterError("parameter 'tip_frame' is empty; name the URDF link that is the "
                              'end effector')
+    urdf = mounted(urdf, p.mount_frame, p.mount_pose)
 
     def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
         return Robot(
-            urdf, p.tip_frame, base_frame=p.base_frame,
+            urdf, p.tip_frame, base_frame=p.base_frame or p.mount_frame,
             locked_positions=dict(zip(p.locked_joints, p.locked_positions)),
             axes=p.axes, command_frame=p.command_frame, velocity_max=p.velocity_max or None,
             acceleration_max=p.acceleration_max, jerk_max=p.jerk_max or None, capsules=shapes,

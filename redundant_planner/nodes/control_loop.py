@@ -18,6 +18,7 @@ from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.core.target.goal import Target
 from redundant_planner.io.node_parameters import PlannerNodeParameters
+from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.payload import Payload
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.nodes.command_input import CommandInput
@@ -83,7 +84,7 @@ class ControlLoop:
         self.supervisor = Supervisor(robot.velocity_max, _JUMP)
         self.command, self.obstacles, self.output = command, obstacles, output
         self.attached = ObstacleInput(
-            'attached', attached.tracker, 1.0 / settings.rate, guard, warn)
+            ['attached'], ObstacleSources([attached.tracker]), 1.0 / settings.rate, guard, warn)
         self._payload = attached
         self.inboxes: list[tuple[PolledSubscription, Callable[[bytes], None]]] = []
         self.settings = settings
@@ -107,6 +108,11 @@ class ControlLoop:
     def at_rest(self) -> bool:
         """Whether the arm rests and the node is silent."""
         return self._last_command is None
+
+    @property
+    def velocity(self) -> Array:
+        """The latest command (n,), zero while the arm rests [rad/s, m/s]."""
+        return np.zeros(self._robot.n) if self._last_command is None else self._last_command
 
     @property
     def held(self) -> frozenset[str]:
@@ -301,9 +307,10 @@ class ControlLoop:
         self._last_command, self._is_sent = dq, True
         if self._publish_tick is not None:
             elapsed = self.command.preview_elapsed() if ahead is not None else np.nan
+            obstacles, *more = self.obstacles.read_counts
             self._publish_tick(RecordedTick(
-                stamp_ns, self.now, kind, self.obstacles.read_count, self.command.previews,
-                elapsed, self.attached.read_count, twist, posture, target).numbers())
+                stamp_ns, self.now, kind, obstacles, self.command.previews, elapsed,
+                self.attached.read_counts[0], twist, posture, target, tuple(more)).numbers())
 
     def _read_obstacles(self) -> bool:
         """Read messages on obstacles and attached that wait; return whether there were any."""

@@ -22,6 +22,7 @@ from redundant_planner.core.errors import known, ParameterError, StateError
 from redundant_planner.io.node_parameters import ClockParameters
 from redundant_planner.io.obstacle_bounds import checked
 from redundant_planner.io.obstacle_entries import obstacle_of
+from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import RobotParameters, urdf_text
 from redundant_planner.io.physics_parameters import (
@@ -103,10 +104,10 @@ class MujocoHardwareNode(EndableNode):
         self._takes_positions = physics.servo == POSITION_SERVO
         self._random = np.random.default_rng(0)
         self._obstacles = ObstacleInput(
-            'obstacles', ObstacleTracker(
+            ['obstacles'], ObstacleSources([ObstacleTracker(
                 checked(obstacle_of(name, entry) for name, entry in static.items()),
                 sorted({robot.base_frame, ''}),
-                transform=transform_lookup(self, robot.base_frame)),
+                transform=transform_lookup(self, robot.base_frame))]),
             1.0 / settings.rate, self.guard, self._warn)
         self._film = (Film(options.record, self._arm.model)
                       if options.record is not None and not film_refused else None)

@@ -1,15 +1,15 @@
-"""Messages on `obstacles` and `attached`: they wait until a tick's command is out."""
+"""Messages on topics of obstacles and `attached`: they wait until a tick's command is out."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import time
 
 import numpy as np
 
 from redundant_planner.core.obstacles.scene import Scene
-from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.nodes.guard import Guard
 
 # After each tick one message is read, and more while less than this share of the period is used.
@@ -19,50 +19,49 @@ _MOST_WAITING = 100
 
 
 class ObstacleInput:
-    """A queue of messages in front of an obstacle tracker.
+    """A queue of messages in front of obstacles.
 
     Attributes:
         tracker: holds the obstacles.
-        read_count: messages so far that were read or dropped.
+        read_counts: messages so far that were read or dropped, of each topic.
         read_at: when the latest message was read [s]; −∞ before the first.
     """
 
     def __init__(
-        self, topic: str, tracker: ObstacleTracker, period: float, guard: Guard,
+        self, topics: Sequence[str], tracker: ObstacleSources, period: float, guard: Guard,
         warn: Callable[[str], None],
     ) -> None:
         """Begin with an empty queue.
 
         Args:
-            topic: for what is said of its messages.
+            topics: for what is said of their messages.
             tracker: takes the messages.
             period: of the loop [s].
             guard: counts exceptions.
             warn: takes a sentence about a message.
         """
         self.tracker = tracker
-        self._topic = topic
-        self._prefix = '' if topic == 'obstacles' else f'{topic} '
-        self.read_count = 0
+        self._topics = tuple(topics)
+        self.read_counts = [0] * len(topics)
         self.read_at = -np.inf
         self._budget = _SHARE * period
         self._guard = guard
         self._warn = warn
-        self._waiting: deque[bytes] = deque()
+        self._waiting: deque[tuple[int, bytes]] = deque()
 
     @property
     def scene(self) -> Scene:
         """The obstacles read so far."""
         return self.tracker.scene
 
-    def on_message(self, raw: bytes) -> None:
-        """Keep a message until `read`; of too many, drop the oldest."""
+    def on_message(self, raw: bytes, topic: int = 0) -> None:
+        """Keep a message of a topic until `read`; of too many, drop the oldest of all."""
         if len(self._waiting) == _MOST_WAITING:
-            self._waiting.popleft()
-            self.read_count += 1
-            self._warn(f'{self._topic} come faster than the planner reads them: it dropped the '
-                       f'oldest of {_MOST_WAITING} messages')
-        self._waiting.append(raw)
+            oldest, _ = self._waiting.popleft()
+            self.read_counts[oldest] += 1
+            self._warn(f'{self._topics[oldest]} come faster than the planner reads them: it '
+                       f'dropped the oldest of {_MOST_WAITING} messages')
+        self._waiting.append((topic, raw))
 
     def read(self, now: float) -> bool:
         """Read the oldest messages, at least one, as time allows; return whether there were any.
@@ -75,12 +74,14 @@ class ObstacleInput:
         self.read_at = now
         enough = time.perf_counter() + self._budget
         while self._waiting:
-            self.read_count += 1
+            topic, raw = self._waiting.popleft()
+            self.read_counts[topic] += 1
+            name = self._topics[topic]
             try:
-                for problem in self.tracker.update(self._waiting.popleft(), now):
-                    self._warn(f'{self._prefix}{problem}; ignored')
+                for problem in self.tracker.update(raw, now, topic):
+                    self._warn(f'{"" if name == "obstacles" else name + " "}{problem}; ignored')
             except Exception as error:
-                self._guard.caught(f"a message on '{self._topic}'", error)
+                self._guard.caught(f"a message on '{name}'", error)
             if time.perf_counter() > enough:
                 break
         return True

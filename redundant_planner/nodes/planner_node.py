@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 import time
 from typing import Any
 
@@ -21,7 +22,7 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.node_parameters import PlannerNodeParameters
-from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.payload import Payload
 from redundant_planner.nodes import runtime
@@ -53,6 +54,8 @@ _CONFIGURATION_PAUSE = 0.25
 _REPORT_PERIOD = 0.2
 # Period of ~/target while there is a target [s].
 _PROGRESS_PERIOD = 0.05
+# Period of ~/body while somebody listens [s].
+_BODY_PERIOD = 0.02
 
 
 class PlannerNode(EndableNode):
@@ -116,9 +119,10 @@ class PlannerNode(EndableNode):
         robot, settings, clock = planner.robot, self._settings.node, loop_clock(self)
         period = 1.0 / settings.rate
         transform = transform_lookup(self, robot.base_frame)
-        tracker = ObstacleTracker(
-            self._settings.obstacles(), sorted({robot.base_frame, ''}), transform=transform,
-            estimate_velocity=settings.estimate_obstacle_velocity)
+        topics = settings.obstacle_topics
+        tracker = ObstacleSources.of(
+            len(topics), self._settings.obstacles(), sorted({robot.base_frame, ''}),
+            transform=transform, estimate_velocity=settings.estimate_obstacle_velocity)
         command = CommandInput(
             {robot.base_frame: 'base', robot.tip_frame: 'tool'}, robot.command_frame, clock.now,
             clock.ros_time, self._warn, transform)
@@ -129,7 +133,7 @@ class PlannerNode(EndableNode):
                  if settings.publish_ticks else None)
         return ControlLoop(
             planner, settings, clock=clock, command=command,
-            obstacles=ObstacleInput('obstacles', tracker, period, self.guard, self._warn),
+            obstacles=ObstacleInput(topics, tracker, period, self.guard, self._warn),
             attached=Payload(robot),
             output=CommandOutput(self, robot.joint_names, settings.outputs, period),
             last_word=self._last_word, guard=self.guard, warn=self._warn, publish_tick=None
@@ -150,8 +154,9 @@ class PlannerNode(EndableNode):
              loop.on_joint_target)]
         self.create_subscription(
             MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)
-        self.create_subscription(
-            MarkerArray, 'obstacles', loop.obstacles.on_message, 10, raw=True)
+        for i, topic in enumerate(self._settings.node.obstacle_topics):
+            self.create_subscription(
+                MarkerArray, topic, partial(loop.obstacles.on_message, topic=i), 10, raw=True)
         self.create_subscription(
             MarkerArray, 'attached', loop.attached.on_message, 10, raw=True)
         self.create_subscription(JointState, '~/posture', self._on_posture, 10)
@@ -175,6 +180,7 @@ class PlannerNode(EndableNode):
         reports = Reports(self, loop, lambda: self._settings)
         self._chores.add(_LOOK_AROUND, self._look_around)
         self._chores.add(_CONFIGURATION_PAUSE, reports.publish_configuration)
+        self._chores.add(_BODY_PERIOD, reports.publish_body)
         self._chores.add(_REPORT_PERIOD, reports.publish_diagnostics)
         self._chores.add(_REPORT_PERIOD, reports.publish_markers)
         self._chores.add(_PROGRESS_PERIOD, reports.publish_progress)
@@ -217,8 +223,8 @@ class PlannerNode(EndableNode):
         self.loop.planner.parameters = planner
         self.loop.settings = node
         self.loop.command.timeout = node.incoming_command_timeout
-        self.loop.obstacles.tracker.static = static
-        self.loop.obstacles.tracker.estimate_velocity = node.estimate_obstacle_velocity
+        self.loop.obstacles.tracker.keep(
+            static, estimate_velocity=node.estimate_obstacle_velocity)
         self._settings = settings
 
     def go_first(self) -> None:

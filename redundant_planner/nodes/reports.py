@@ -1,4 +1,4 @@
-"""What planner_node publishes about itself: /diagnostics, ~/target, ~/markers, ~/configuration."""
+"""What planner_node publishes about itself: /diagnostics, ~/target, ~/body, ~/markers and more."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.nodes.body_writer import BodyWriter
 from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.robot_markers import RobotMarkers
@@ -39,6 +41,8 @@ class Reports:
         self._configuration = node.create_publisher(String, '~/configuration', latched)
         self._published: Settings | None = None
         self._target = node.create_publisher(DiagnosticArray, '~/target', latched)
+        self._body = node.create_publisher(MarkerArray, '~/body', 1)
+        self._body_writer = self._body_of(self._robot)
         self._had_target = False
 
     def publish_configuration(self) -> None:
@@ -74,6 +78,21 @@ class Reports:
             progress_status(
                 self._node.get_fully_qualified_name(), self._robot, target, result),
             self._node.get_clock().now().to_msg()))
+
+    def publish_body(self) -> None:
+        """Publish where the arm's links are and how fast they move, if somebody listens."""
+        loop = self._loop
+        posture, robot = loop.supervisor.posture, loop.planner.robot
+        if posture is None or not self._body.get_subscription_count():
+            return
+        if robot is not self._body_writer.robot:
+            self._body_writer = self._body_of(robot)
+        self._body.publish(self._body_writer.message(
+            loop.clock.stamp_ns(), robot.kinematics(posture), loop.velocity))
+
+    def _body_of(self, robot: Robot) -> BodyWriter:
+        space = self._node.get_namespace().strip('/')
+        return BodyWriter(robot, space or robot.name)
 
     def publish_markers(self) -> None:
         """Publish the planner's view of the world, if somebody listens."""

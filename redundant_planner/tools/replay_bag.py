@@ -24,7 +24,7 @@ from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
-from redundant_planner.io.obstacle_tracker import ObstacleTracker
+from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.parameter_files import read_parameter_file, settings_of
 from redundant_planner.io.payload import Payload
 from redundant_planner.io.printable import printable
@@ -95,7 +95,8 @@ def _rows(
                              'and its last')
     planner = planner_of(robot, parameters)
     values = inputs.values
-    book = ObstacleTracker(
+    book = ObstacleSources.of(
+        len(inputs.obstacles),
         [*recorded_obstacles(values, inputs.notes), *recorded_walls(values, inputs.notes)], (),
         transform=as_it_is,
         estimate_velocity=values.get('estimate_obstacle_velocity') is True)
@@ -106,7 +107,7 @@ def _rows(
     stop = SmoothStop(robot.acceleration_max, robot.jerk_max, dt)
     # Ticks that are made up start again after every pause, where the arm was then.
     made_up = not inputs.ticks
-    applied = held = 0
+    held, applied = 0, [0] * len(inputs.obstacles)
     count = len(ticks)
     positions, velocities = np.empty((count, robot.n)), np.empty((count, robot.n))
     previous = ticks[0][1].time
@@ -116,9 +117,10 @@ def _rows(
         if measured:
             q = tick.q
         # What was taken in after the tick before, with that tick's time.
-        for _, raw in inputs.obstacles[applied:tick.obstacle_messages]:
-            book.update(raw, previous)
-        applied = max(applied, tick.obstacle_messages)
+        for topic, read in enumerate((tick.obstacle_messages, *tick.more_messages)[:len(applied)]):
+            for _, raw in inputs.obstacles[topic][applied[topic]:read]:
+                book.update(raw, previous, topic)
+            applied[topic] = max(applied[topic], read)
         for _, raw in inputs.attached[held:tick.attached_messages]:
             payload.tracker.update(raw, previous)
         held = max(held, tick.attached_messages)
@@ -141,7 +143,7 @@ def _rows(
                   np.array([tick.twist for _, tick in ticks]).reshape(-1, 6))
 
 
-def _hold(payload: Payload, planner: Planner | PaperPlanner, book: ObstacleTracker) -> None:
+def _hold(payload: Payload, planner: Planner | PaperPlanner, book: ObstacleSources) -> None:
     """Do what the control loop does with what is attached."""
     things = payload.changed()
     if things is None:
@@ -178,10 +180,10 @@ def write_replay(path: Path, inputs: Inputs, replay: Replay, origin_ns: int, tex
              'cmd_vel': 'geometry_msgs/msg/Twist',
              'configuration': 'std_msgs/msg/String',
              'robot_description': 'std_msgs/msg/String',
-             'obstacles': 'visualization_msgs/msg/MarkerArray',
              'attached': 'visualization_msgs/msg/MarkerArray',
              'target_pose': 'geometry_msgs/msg/PoseStamped',
-             'target_joints': 'sensor_msgs/msg/JointState'}
+             'target_joints': 'sensor_msgs/msg/JointState',
+             **dict.fromkeys(inputs.topics, 'visualization_msgs/msg/MarkerArray')}
     with BagWriter(path) as bag:
         for topic, kind in kinds.items():
             bag.add_topic(f'/{topic}', kind)

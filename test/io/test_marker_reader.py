@@ -22,11 +22,15 @@ NAMES = st.text(st.characters(min_codepoint=1, codec='utf-8'), max_size=9)
 NUMBERS = st.floats(width=64, allow_nan=False)
 
 
+TWISTS = st.lists(st.floats(), min_size=5, max_size=7).map(
+    lambda numbers: 'twist ' + ' '.join(map(repr, numbers)))
+
+
 @st.composite
 def markers(draw):
     marker = Marker(ns=draw(NAMES), id=draw(st.integers(-2**31, 2**31 - 1)),
                     type=draw(st.integers(0, 11)), action=draw(st.integers(0, 3)),
-                    text=draw(NAMES), mesh_resource=draw(NAMES))
+                    text=draw(NAMES | TWISTS), mesh_resource=draw(NAMES))
     marker.header.frame_id = draw(NAMES)
     marker.header.stamp = Time(sec=draw(st.integers(0, 2**31 - 1)),
                                nanosec=draw(st.integers(0, 10**9 - 1)))
@@ -58,6 +62,13 @@ def check(message):
         assert read.stamps[i] == m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec
         assert read.points[i].tolist() == [[point.x, point.y, point.z] for point in m.points]
         assert read.lifetimes[i] == m.lifetime.sec + 1e-9 * m.lifetime.nanosec
+        twist = np.full(6, np.nan) if read.twists is None else read.twists[i]
+        if m.text.startswith('twist '):
+            numbers = np.array(m.text.split()[1:], dtype=float)
+            sound = len(numbers) == 6 and np.isfinite(numbers).all()
+            assert twist.tolist() == (numbers.tolist() if sound else [np.inf] * 6)
+        else:
+            assert np.isnan(twist).all()
 
 
 @settings(deadline=None, max_examples=60)
@@ -135,7 +146,7 @@ def test_one_message_after_another_reads_like_each_alone(listed, data):
             np.testing.assert_array_equal(
                 getattr(read.listing, name), getattr(alone.listing, name))
         assert [p.tolist() for p in read.points] == [p.tolist() for p in alone.points]
-        for name in alone._fields[1:-1]:
+        for name in (*alone._fields[1:6], 'twists'):
             np.testing.assert_array_equal(getattr(read, name), getattr(alone, name))
         before = read.listing
         change = data.draw(st.sampled_from(['number', 'number', 'id', 'name', 'fewer']))

@@ -123,6 +123,59 @@ def test_a_bad_list_changes_nothing(point, count, problem, monkeypatch):
     assert len(book.scene.names) == 2
 
 
+def test_a_text_says_how_fast_a_marker_moves():
+    book, told = ObstacleTracker([], ['base'], estimate_velocity=True), marker(1, kind=Marker.CUBE)
+    told.text = 'twist 0.1 0 -2e-1 0 0 0.5'
+    other = marker(2)
+    other.text = 'a text about anything'
+    assert not tell(book, 0.0, told, other)
+    np.testing.assert_allclose(book.scene.velocities, [[0.1, 0.0, -0.2], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(book.scene.angular_velocities[0], [0.0, 0.0, 0.5])
+    # It counts for more than what successive poses say, and holds while messages come.
+    told.pose.position.x = 1.0
+    assert not tell(book, 0.5, told)
+    np.testing.assert_allclose(book.scene.velocities[0], [0.1, 0.0, -0.2])
+    book.expire(1.0)
+    assert not book.scene.velocities.any()
+    assert not tell(book, 1.1, told)
+    told.text = ''
+    told.header.stamp.sec = 1
+    assert not tell(ObstacleTracker([], ['base']), 0.0, told)
+    book.estimate_velocity = False
+    assert not tell(book, 1.2, told)
+    assert not book.scene.velocities.any()
+
+
+def test_a_list_moves_like_one_body():
+    def transform(frame):
+        return np.array([1.0, 0.0, 0.0]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+    book, told = ObstacleTracker([], ['base'], transform=transform), marker(kind=Marker.CUBE_LIST)
+    told.header.frame_id = 'cart'
+    told.points = [Point(), Point(x=0.5)]
+    told.text = 'twist 0.2 0 0 0 0 1'
+    assert not tell(book, 0.0, told)
+    # The cart's x axis is the base's y.
+    np.testing.assert_allclose(
+        book.scene.velocities, [[0.0, 0.2, 0.0], [-0.5, 0.2, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(book.scene.angular_velocities, [[0.0, 0.0, 1.0]] * 2)
+    book.expire(0.4)
+    assert not book.scene.velocities.any() and len(book.scene.names) == 2
+
+
+@pytest.mark.parametrize('text', [
+    'twist 1 2 3', 'twist a b c d e f', 'twist 1 2 3 4 5 nan', 'twist 1e9 0 0 0 0 0',
+    'twist ' + '1 ' * 1000])
+def test_a_twist_that_is_none_is_refused_and_the_obstacle_stays_as_it_was(text):
+    book = ObstacleTracker([], ['base'])
+    tell(book, 0.0, marker(1, kind=Marker.CUBE))
+    told = marker(1, at=(1.0, 0.0, 0.0), kind=Marker.CUBE)
+    told.text = text
+    problems = tell(book, 0.1, told)
+    assert len(problems) == 1 and "begins with 'twist', but no six numbers follow" in problems[0]
+    np.testing.assert_array_equal(book.scene.centers, [[0.0, 0.0, 0.0]])
+
+
 def test_an_obstacle_that_turns_has_an_angular_velocity():
     book = ObstacleTracker([], ['base'], estimate_velocity=True)
     turned = marker(1, kind=Marker.CUBE)

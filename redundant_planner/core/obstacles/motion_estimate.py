@@ -1,4 +1,4 @@
-"""Obstacles as they were last seen, and how fast they move: by successive positions."""
+"""Obstacles as they were last seen, and how fast they move: as is said, or by their positions."""
 
 from __future__ import annotations
 
@@ -62,6 +62,8 @@ class Sightings(NamedTuple):
         half_extents: (j, 3) [m].
         stamps: (j,) when they were measured [s]; 0 where that is not known.
         lifetimes: (j,) [s]; 0 for unlimited.
+        twists: (j, 6) velocities and angular velocities where they are known, else NaN [m/s,
+            rad/s]; (0, 6) if none is.
     """
 
     rows: Indices
@@ -72,6 +74,7 @@ class Sightings(NamedTuple):
     half_extents: Matrix
     stamps: Vector
     lifetimes: Vector
+    twists: Matrix
 
 
 def unseen(count: int) -> Tracks:
@@ -177,6 +180,18 @@ def _estimate(tracks: Tracks, sightings: Sightings, i: int, elapsed: float) -> b
 
 
 @kernel
+def _set_twist(tracks: Tracks, row: int, twist: Vector) -> bool:
+    """Write a twist (6,) into a track; return whether it changed."""
+    changed = False
+    for axis in range(3):
+        changed = (changed or twist[axis] != tracks.velocities[row, axis]
+                   or twist[3 + axis] != tracks.angular_velocities[row, axis])
+        tracks.velocities[row, axis] = twist[axis]
+        tracks.angular_velocities[row, axis] = twist[3 + axis]
+    return changed
+
+
+@kernel
 def _copy_shape(tracks: Tracks, sightings: Sightings, i: int) -> bool:
     """Copy place, axes and size of sighting i into its track; return whether any is new."""
     row = sightings.rows[i]
@@ -206,12 +221,13 @@ def take_in(
         tracks: written to.
         sightings: of one message.
         now: when the message came, the measurement's time for sightings without a stamp [s].
-        estimate_velocity: whether velocities come from successive positions, else they stay 0.
+        estimate_velocity: whether velocities that are not known come from successive positions,
+            else they are 0.
 
     Returns:
         Whether anything is new, and when an obstacle ends or counts as static at the earliest [s].
     """
-    changed, soonest = False, np.inf
+    changed, soonest, nothing = False, np.inf, np.zeros(6)
     for i in range(len(sightings.rows)):
         row = sightings.rows[i]
         if sightings.removed[i]:
@@ -224,8 +240,12 @@ def take_in(
         stamp = sightings.stamps[i] if sightings.stamps[i] > 0.0 else now
         elapsed = stamp - tracks.stamps[row]
         set_back = elapsed < -STATIC_AFTER
+        known = len(sightings.twists) > 0 and not np.isnan(sightings.twists[i, 0])
+        if known or not estimate_velocity:
+            changed = _set_twist(
+                tracks, row, sightings.twists[i] if known else nothing) or changed
         if elapsed >= SHORTEST_STEP or set_back:  # else it is the same measurement once more
-            if estimate_velocity:
+            if not known and estimate_velocity:
                 changed = _estimate(
                     tracks, sightings, i, np.inf if set_back else elapsed) or changed
             tracks.stamps[row] = stamp

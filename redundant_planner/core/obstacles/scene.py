@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 import math
 
 import numpy as np
@@ -122,3 +122,13 @@ class Scene:
         if shape == HALF_SPACE:
             return Obstacle.half_space(name, center, **place)
         return Obstacle(name, center, (x, y, z), **place)
+
+
+def joined(scenes: Iterable[Scene]) -> Scene:
+    """Return all obstacles of several scenes as one, in their order."""
+    scenes = tuple(scenes)
+    arrays = [np.concatenate([getattr(scene, entry.name) for scene in scenes])
+              for entry in fields(Scene)[1:]]
+    for array in arrays:
+        array.setflags(write=False)
+    return Scene(tuple(name for scene in scenes for name in scene.names), *arrays)

@@ -20,12 +20,15 @@ from redundant_planner.core.obstacles.motion_estimate import (
 BEGIN = 100.0
 
 
-def seen(tracks, at, stamp=0.0, now=BEGIN, *, removed=0, lifetime=0.0, estimate=True):
+def seen(
+    tracks, at, stamp=0.0, now=BEGIN, *, removed=0, lifetime=0.0, estimate=True, twist=None,
+):
     """One sighting of the first obstacle; what `take_in` returns."""
     return take_in(tracks, Sightings(
         np.zeros(1, np.intp), np.array([removed]), np.array([at], dtype=float),
         np.eye(3)[None].copy(), np.zeros(1, np.intp), np.full((1, 3), 0.1), np.array([stamp]),
-        np.array([lifetime])), now, estimate)
+        np.array([lifetime]),
+        np.empty((0, 6)) if twist is None else np.array([twist])), now, estimate)
 
 
 @pytest.fixture

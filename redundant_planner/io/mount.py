@@ -1,0 +1,64 @@
+"""Where an arm's base stands: its URDF below a frame that other things are given in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pinocchio as pin
+
+from redundant_planner.core.errors import ParameterError
+
+# What the joint between both is called, so that nothing is mounted twice.
+_JOINT = 'mount_of_{}'
+
+
+def mounted(urdf: str, frame: str, pose: Sequence[float]) -> str:
+    """Return a URDF whose root link is fixed to a new one.
+
+    Args:
+        urdf: its text.
+        frame: name of the new root; empty for none.
+        pose: of the old root in it: x y z, and nothing, roll pitch yaw, or a quaternion x y z w
+            [m, rad].
+
+    Raises:
+        ParameterError: the URDF has such a link, or the pose is none.
+    """
+    if not frame:
+        return urdf
+    numbers = [float(number) for number in pose] or [0.0] * 6
+    if len(numbers) not in (3, 6, 7):
+        raise ParameterError(
+            f"parameter 'mount_pose' has {len(numbers)} numbers; it takes x y z, and nothing, "
+            'roll pitch yaw, or a quaternion x y z w')
+    rpy = np.array(numbers[3:] or np.zeros(3))
+    if len(rpy) == 4:
+        if not abs(np.linalg.norm(rpy) - 1.0) < 0.01:
+            raise ParameterError(f"parameter 'mount_pose' has the quaternion {rpy.tolist()}; its "
+                                 'length must be 1')
+        rpy = np.asarray(pin.rpy.matrixToRpy(pin.Quaternion(rpy).toRotationMatrix()))
+    try:
+        tree = ET.fromstring(urdf)
+    except ET.ParseError:
+        return urdf  # which whoever reads it refuses, and says why
+    joint = _JOINT.format(frame)
+    if tree.find(f"joint[@name='{joint}']") is not None:
+        return urdf
+    links = [link.get('name', '') for link in tree.findall('link')]
+    children = {child.get('link') for child in tree.findall('joint/child')}
+    if frame in links:
+        raise ParameterError(f"parameter 'mount_frame' is '{frame}', a link of the URDF; use it "
+                             'as base_frame, or name another one')
+    ET.SubElement(tree, 'link', name=frame)
+    for root in [link for link in links if link not in children]:
+        added = ET.SubElement(tree, 'joint', name=joint, type='fixed')
+        ET.SubElement(added, 'parent', link=frame)
+        ET.SubElement(added, 'child', link=root)
+        ET.SubElement(added, 'origin', xyz=_text(numbers[:3]), rpy=_text(rpy.tolist()))
+    return ET.tostring(tree, encoding='unicode')
+
+
+def _text(numbers: Sequence[float]) -> str:
+    return ' '.join(repr(float(number)) for number in numbers)
