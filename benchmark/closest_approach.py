@@ -107,6 +107,19 @@ class Motion:
                 nearest = Approach(distance, bodies.names[first], bodies.names[second], index)
         return nearest
 
+    def to_other(self, other: Motion) -> Approach:
+        """Return the nearest approach to another arm, which moves at the same time."""
+        nearest = NOTHING
+        for second, name in enumerate(other.bodies.names):
+            for first in range(len(self.bodies.names)):
+                distance, index = self._nearest(
+                    first, other.bodies.shapes[second],
+                    lambda i, body=second: other._at(body, i),
+                    self._ways[first] + other._ways[second], nearest.distance)
+                if distance < nearest.distance:
+                    nearest = Approach(distance, self.bodies.names[first], name, index)
+        return nearest
+
     def _at(self, body: int, i: int) -> coal.Transform3s:
         return coal.Transform3s(self._rotations[body, i], self._positions[body, i])
 

@@ -170,16 +170,17 @@ def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
     }
 
 
-def make_robot(name: str, axes: int) -> Robot:
-    """Return a robot of config/ with 3 or 6 controlled axes."""
+def make_robot(name: str, axes: int, **changes: Any) -> Robot:
+    """Return a robot of config/ with 3 or 6 controlled axes, and other parameters changed."""
     if name == 'panda':
         panda = find_panda(None)
         if panda is None:
             raise SystemExit('no Panda URDF: pip install example-robot-data')
         return load_robot(share_directory() / 'config' / 'robots' / 'panda.yaml',
-                          urdf='', robot_description=panda.urdf, axes=AXES[:axes])
+                          urdf='', robot_description=panda.urdf, axes=AXES[:axes],
+                          **changes)
     return load_robot(share_directory() / 'config' / 'robots' / 'paper_2p5r.yaml',
-                      axes=AXES[:axes], link_radius=0.03)
+                      axes=AXES[:axes], link_radius=0.03, **changes)
 
 
 def runners(robot: Robot, judge: Judge, names: list[str]) -> dict[

@@ -326,6 +326,10 @@ class PlannerParameters:
         description='How the tip goes to a target_pose. free: by a short joint path around what '
                     'is in the way. straight: in a line and about one axis; it stops where the '
                     'line is blocked.')
+    target_gives_way: bool = parameter(
+        False, runtime=True, group='target',
+        description='Whether the arm goes aside for some seconds where it finds no free way to '
+                    'its target for 3 s, so that others get past. Of two arms, one should.')
     feedback_gain: float = parameter(
         10.0, low=0.0, high=100.0, unit='1/s', runtime=True,
         group='feedback',

@@ -20,6 +20,7 @@ from redundant_planner.core.kernels import entry, IndexPairs, Stack, Vector
 from redundant_planner.core.obstacles.clearance import is_contact, measure, Pairs
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.self_collision import write_link_distances
+from redundant_planner.core.obstacles.shapes import HALF_SPACE
 from redundant_planner.core.robot.cone import cone_room
 from redundant_planner.core.robot.model import Robot
 
@@ -132,6 +133,19 @@ class FreeSpace:
         """Return the least room that any link has to an obstacle at postures (N, n) [m]."""
         links = len(self._constants.lever_arm_bounds)
         return float(self.rooms(postures)[:, :links].min(initial=np.inf))
+
+    def away(self, postures: Array) -> Array:
+        """Return how far (N,) the links are from any obstacle's middle, on average [m].
+
+        Walls do not count.
+        """
+        centers = self._obstacles.centers[self._obstacles.shapes != HALF_SPACE]
+        if not len(centers):
+            return np.zeros(len(postures))
+        arms = self.robot.kinematics_along(postures)
+        middles = 0.5 * (arms.segment_start + arms.segment_end)
+        apart = np.linalg.norm(middles[:, :, None] - centers, axis=3)
+        return np.asarray(apart.min(axis=2).mean(axis=1))
 
     def place(self, q: Array) -> Place:
         """Return a posture (n,) with its room."""

@@ -41,8 +41,10 @@ _SPACINGS = (0.2, 0.1, 0.05, 0.025)
 # is still free, and how often [s].
 _LOOKS_PER_SPAN, _LOOKS_AHEAD, _LOOK_PERIOD = 2, 12, 0.1
 # A search that has found nothing begins anew among other obstacles after this time, then after
-# twice as long each [s]: what moves elsewhere must not keep it from an end.
-_NEWS_PERIOD = 2.0
+# twice as long each, up to some [s]: what moves elsewhere must not keep it from an end.
+_NEWS_PERIOD, _LONGEST_NEWS_PERIOD = 2.0, 4.0
+# An arm that gives way does so after this time without a way, and stays aside for so long [s].
+_PATIENT, _ASIDE = 3.0, 8.0
 # An arm this near to where it comes to rest stands [rad, m].
 _STANDS = 1e-3
 # Share of its room that a way keeps in its corners, and what it may have less than its ends [m].
@@ -106,7 +108,8 @@ class FreeWay:
     """
 
     def __init__(
-        self, robot: Robot, limits: Limits, scaling: Array, full_speed: Array, gain: float,
+        self, robot: Robot, limits: Limits, scaling: Array, full_speed: Array, gain: float, *,
+        gives_way: bool,
     ) -> None:
         """Prepare for an arm.
 
@@ -116,9 +119,10 @@ class FreeWay:
             scaling: (n,) see `PathJoints`.
             full_speed: highest linear and angular speed of the tip [m/s, rad/s].
             gain: of the feedback to the way [1/s].
+            gives_way: whether it steps aside for others where it has no way.
         """
         self._robot, self._limits, self._scaling = robot, limits, scaling
-        self._full_speed, self._gain = full_speed, gain
+        self._full_speed, self._gain, self._gives_way = full_speed, gain, gives_way
         self.reset()
 
     def reset(self) -> None:
@@ -131,6 +135,7 @@ class FreeWay:
         self._space: FreeSpace | None = None
         self._age = 0.0  # of the thought [s]
         self.tried_line = False
+        self._aside: float | None = None  # for how long it has been aside [s]
         self._look_age = 0.0
         self._left_then, self._stuck = 0.0, 0.0
 
@@ -159,8 +164,8 @@ class FreeWay:
             self._think(start, space())
         elif self.stretch is Stretch.THINKING:
             self._go_on_thinking(start, space)
-        elif self._goes_to_pose and self._way is not None and self._way.over:
-            self.stretch = Stretch.LINE
+        elif self._way is not None and self._way.over:
+            self._arrive(start, space)
         if self.stretch is Stretch.LINE or self._way is None:
             return None
         here, velocity = self._way.velocity(start.dt)
@@ -169,6 +174,15 @@ class FreeWay:
             off = np.zeros_like(off)
         back = self._gain * off
         return JointMotion(velocity, np.clip(back, -_FEEDBACK_SPEED, _FEEDBACK_SPEED))
+
+    def _arrive(self, start: Start, space: Callable[[], FreeSpace]) -> None:
+        """Do what is next where a way ends."""
+        if self._aside is not None:
+            self._aside += start.dt
+            if self._aside > _ASIDE:
+                self._think(start, space())
+        elif self._goes_to_pose:
+            self.stretch = Stretch.LINE
 
     def went_on(self, followed: float, residual: float, dt: float) -> None:
         """Note which share of the tick's motion was followed, and of the last one's remained."""
@@ -228,6 +242,7 @@ class FreeWay:
                        self._limits.positions[1], self._limits.positions[0])
         self._follow(np.array((start.arm.q, rest)), _SPACINGS[0], start.previous)
         self.stretch, self._age, self._rest = Stretch.THINKING, 0.0, rest
+        self._aside = None
         self._until_news = _NEWS_PERIOD
         self._begin(space)
 
@@ -246,7 +261,7 @@ class FreeWay:
         if self._look_age > self._until_news and self._search.way is None and (
                 space() is not self._space):
             self._begin(space())
-            self._until_news *= 2.0
+            self._until_news = min(2.0 * self._until_news, _LONGEST_NEWS_PERIOD)
         polygon = self._found
         if polygon is None:
             until = self._space.spent + (_WORK if self._age < _DILIGENT else _WORK // 4)
@@ -263,8 +278,11 @@ class FreeWay:
             if np.abs(self._way.posture - polygon[0]).max() > _STANDS:
                 polygon = np.vstack((self._way.posture, polygon))
             self._follow(polygon, 0.0, start.previous)
-            self.stretch, self.tried_line = Stretch.FOLLOWING, False
+            self.stretch, self.tried_line = Stretch.FOLLOWING, self._search.aside
+            self._aside = 0.0 if self._search.aside else None
             return
+        if self._gives_way and self._age >= _PATIENT and self._search.way is None:
+            self._search.step_aside()
         if self._goes_to_pose and not self.tried_line and self._search.way is None and (
                 self._age >= _LONGEST or self.out_of_reach):
             # As near as it gets.
@@ -279,6 +297,8 @@ class FreeWay:
     @property
     def lacks(self) -> str:
         """Why it stands still or goes as near as a line takes it; empty where neither is so."""
+        if self._aside is not None:
+            return 'it makes way for others'
         return self._search.lacks if self.tried_line or self.in_vain else ''
 
     def _thoughts(self, space: FreeSpace) -> Generator[Array | None, None, None]:

@@ -26,6 +26,10 @@ _ROOMS, _PRICE_OF_GAPS = (0.01, 0.002), 1.3
 # An arm that is found closer than its margin may start on a way all the same, within this, and a
 # goal keeps so much [m].
 _INSIDE, _AT_GOAL = 2e-3, 1e-4
+# A place aside counts less by this for each rad of the way there [m/rad].
+_PRICE_OF_ASIDE = 0.01
+# Branches that a tree without goals grows between guesses.
+_LOOKS_AROUND = 10
 # Guesses at goal postures before each attempt, and how many postures are enough.
 _GUESSES, _GOALS = 15, 24
 # Guesses without any posture after which a pose counts as out of reach.
@@ -52,6 +56,7 @@ class PathSearch:
         straight: whether it is one straight motion to the nearest goal that is known.
         rounds: how many attempts have ended since the first way was found.
         out_of_reach: whether no posture with the tip at the pose is known after many guesses.
+        aside: whether the way leads out of the way of others, and not to a goal.
     """
 
     def __init__(self, space: FreeSpace, start: Array, target: Target) -> None:
@@ -64,7 +69,8 @@ class PathSearch:
         """
         self.way: Way | None = None
         self.room = self._price = np.inf
-        self.straight, self.rounds, self.out_of_reach = False, 0, False
+        self.straight, self.rounds, self.out_of_reach, self.aside = False, 0, False, False
+        self._tree: _Tree | None = None  # the latest one that begins at the start
         self._space, self._start = space, space.begin_at(start)
         self._goals: list[Place] = []
         self._random = np.random.default_rng(0)
@@ -83,7 +89,7 @@ class PathSearch:
             most_nodes = min(_FEWEST_NODES * (1 + attempt), _MOST_NODES)
             attempt += 1
             if not self._goals or (self._start.room < -_INSIDE).any():
-                yield
+                yield from self._explored()
                 continue
             way = yield from self._connected(needed, most_nodes)
             if way is not None:
@@ -98,6 +104,16 @@ class PathSearch:
         if not self._goals:
             return 'at the target the arm would touch something'
         return 'no way to the target is found'
+
+    def step_aside(self) -> None:
+        """Have the way lead to where obstacles are furthest, as far as that is known."""
+        if self._tree is None:
+            return
+        postures, space = np.array([place.q for place in self._tree.places]), self._space
+        best = int(np.argmax(
+            space.away(postures) - _PRICE_OF_ASIDE * space.distance(self._start.q, postures)))
+        if best > 0:
+            self.way, self.room, self.aside = self._tree.to_root(best)[::-1], _ROOMS[-1], True
 
     def length(self, way: Way) -> float:
         """Return how long a way is, joint weights included [rad]."""
@@ -120,6 +136,14 @@ class PathSearch:
             self._reached = self._reached or bool(found)
         self.out_of_reach = not self._reached and self._guesses >= _GUESSES_OUT_OF_REACH
 
+    def _explored(self) -> Generator[None, None, None]:
+        """Look around where there is no goal yet: for `step_aside`."""
+        if self._tree is None:
+            self._tree = _Tree(self._space, [self._start])
+        for _ in range(_LOOKS_AROUND if len(self._tree.places) < _FEWEST_NODES else 0):
+            yield from self._tree.grow(self._random.uniform(*self._ranges), _ROOMS[-1])
+        yield
+
     def _note(self, way: Way, room: float) -> None:
         """Keep a way with some room if it is the best."""
         off = np.nan_to_num(way[-1].q - self._space.joints.preferred)
@@ -141,6 +165,7 @@ class PathSearch:
             if (yield from space.is_free_between(start, goal, needed)):
                 return [start, goal]
         trees = _Tree(space, [start]), _Tree(space, goals)
+        self._tree = trees[0]
         forward = True
         while len(trees[0].places) + len(trees[1].places) < most_nodes:
             growing, other = trees if forward else trees[::-1]

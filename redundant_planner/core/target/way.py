@@ -60,7 +60,8 @@ class Way:
             (parameters.limits_linear_speed, parameters.limits_angular_speed), SLOWEST)
         self._line = StraightWay(robot, limits, self._joints, full_speed)
         self._free = FreeWay(
-            robot, limits, constants.scaling, full_speed, parameters.feedback_gain)
+            robot, limits, constants.scaling, full_speed, parameters.feedback_gain,
+            gives_way=parameters.target_gives_way)
         self._straight = parameters.target_path == 'straight'
         self._range = limits.positions[1], limits.positions[0]
         self._space: tuple[InflatedObstacles, FreeSpace] | None = None
