@@ -8,7 +8,7 @@ from redundant_planner.io.bag_writer import BagWriter
 
 
 class TopicRecorder:
-    """Subscribes on a station's node; the planner's own topics are latched."""
+    """Subscribes on a station's node; topics that the planner latches are latched."""
 
     def __init__(self, ros, topics):
         """Keep the messages of topics, name → class."""
@@ -18,7 +18,7 @@ class TopicRecorder:
             ros.node.create_subscription(
                 kind, topic, lambda raw, topic=topic: self.messages.append(
                     (topic, ros.node.get_clock().now().nanoseconds, raw)),
-                latched if topic.startswith('planner_node') else 1000, raw=True)
+                latched if topic.endswith(('ticks', 'configuration')) else 1000, raw=True)
 
     def write(self, path):
         with BagWriter(path) as bag:

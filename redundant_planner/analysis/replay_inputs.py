@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+import zlib
 
 import numpy as np
 import numpy.typing as npt
@@ -216,12 +217,13 @@ def _ticks_at(
         inputs.twists, inputs.obstacles[0], inputs.previews, inputs.attached, inputs.targets)]
     latest, known, announced, attached, aimed = (
         np.searchsorted(a, times, side='right') for a in arrivals)
-    more = np.array([np.searchsorted([at for at, _ in listed], times, side='right')
-                     for listed in inputs.obstacles[1:]], dtype=int).reshape(-1, len(times)).T
+    more = [[(count, checksum(listed, count)) for count in np.searchsorted(
+        [at for at, _ in listed], times, side='right').tolist()]
+        for listed in inputs.obstacles[1:]]
     ticks = []
     kind, still = TickKind.STARTING, np.zeros(6)
-    for time, twist, scene, preview, held, aim, others in zip(
-            times, latest, known, announced, attached, aimed, more):
+    for i, (time, twist, scene, preview, held, aim) in enumerate(zip(
+            times, latest, known, announced, attached, aimed)):
         fresh = twist > 0 and time - inputs.twists[twist - 1][0] <= timeout
         # Whichever came last commands.
         target = inputs.targets[aim - 1][1] if aim and not (
@@ -230,6 +232,11 @@ def _ticks_at(
         ticks.append((float(time), RecordedTick(
             0, float(time), kind, int(scene), int(preview), float(elapsed), int(held),
             inputs.twists[twist - 1][1] if fresh else still, start, target,
-            tuple(others.tolist()))))
+            tuple(topic[i] for topic in more))))
         kind = TickKind.GOING_ON
     return ticks
+
+
+def checksum(messages: list[tuple[float, bytes]], count: int) -> int:
+    """Return that of the latest of so many messages, 0 for none."""
+    return zlib.crc32(messages[count - 1][1]) if count else 0

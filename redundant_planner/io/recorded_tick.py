@@ -25,7 +25,7 @@ _WITH_ATTACHED = 10
 # those of one that goes to joint positions have these.
 _WITH_POSE, _WITH_JOINTS = 20, 40
 _POSE = 12
-# Rows add this for each further topic with obstacles, whose counts come last of all.
+# Rows add this for each further topic with obstacles, which come last of all.
 _WITH_TOPIC = 100
 # Stamps count seconds in 32 bits, and every other number is smaller.
 _LARGEST = 2.0**32
@@ -52,7 +52,8 @@ class RecordedTick(NamedTuple):
         twist: (6,) in the command frame [m/s, rad/s].
         q: (n,) measured posture [rad, m].
         target: that commands the arm in place of the twist; None for none.
-        more_messages: as `obstacle_messages`, of further topics with obstacles.
+        more_messages: as `obstacle_messages`, of further topics with obstacles, each with the
+            CRC-32 of the latest one: a recorder that comes later lacks the first.
     """
 
     stamp_ns: int
@@ -65,7 +66,7 @@ class RecordedTick(NamedTuple):
     twist: Array
     q: Array
     target: Target | None = None
-    more_messages: tuple[int, ...] = ()
+    more_messages: tuple[tuple[int, int], ...] = ()
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
@@ -79,7 +80,7 @@ class RecordedTick(NamedTuple):
         return array.array('d', np.concatenate((
             (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
              self.preview_messages, self.preview_elapsed, self.attached_messages), self.twist,
-            self.q, target, self.more_messages)).tobytes())
+            self.q, target, *self.more_messages)).tobytes())
 
     @classmethod
     def of(cls, numbers: Sequence[float], n: int) -> RecordedTick:
@@ -115,16 +116,17 @@ class RecordedTick(NamedTuple):
         return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
                    int(row[4]), int(row[5]), float(row[6]), int(row[7]),
                    row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:], target,
-                   tuple(more.astype(int).tolist()))
+                   tuple((int(count), int(check)) for count, check in more.reshape(-1, 2)))
 
 
 def _parted(row: Array, n: int) -> tuple[Array, Target | None, Array]:
-    """Return a row without what only some have at their end, its target, and its last counts."""
+    """Return a row without what only some have at their end, its target, and further topics."""
     target: Target | None = None
     more = np.empty(0)
-    if len(row) > _HEAD and _WITH_TOPIC <= row[3] < _WITH_TOPIC * (len(row) - _HEAD):
+    if len(row) > _HEAD and _WITH_TOPIC <= row[3] < _WITH_TOPIC * (
+            (len(row) - _HEAD) // 2):
         topics = int(row[3] // _WITH_TOPIC)
-        row, more = row[:-topics], row[-topics:]
+        row, more = row[:-2 * topics], row[-2 * topics:]
         row[3] -= topics * _WITH_TOPIC
     if len(row) >= _HEAD + n and row[3] >= _WITH_ATTACHED + _WITH_JOINTS:
         row, target = row[:-n], row[-n:]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 import time
+import zlib
 
 import numpy as np
 
@@ -24,6 +25,7 @@ class ObstacleInput:
     Attributes:
         tracker: holds the obstacles.
         read_counts: messages so far that were read or dropped, of each topic.
+        last_read: checksums of the latest ones, 0 before the first.
         read_at: when the latest message was read [s]; −∞ before the first.
     """
 
@@ -43,6 +45,7 @@ class ObstacleInput:
         self.tracker = tracker
         self._topics = tuple(topics)
         self.read_counts = [0] * len(topics)
+        self.last_read = [0] * len(topics)
         self.read_at = -np.inf
         self._budget = _SHARE * period
         self._guard = guard
@@ -76,6 +79,7 @@ class ObstacleInput:
         while self._waiting:
             topic, raw = self._waiting.popleft()
             self.read_counts[topic] += 1
+            self.last_read[topic] = zlib.crc32(raw)
             name = self._topics[topic]
             try:
                 for problem in self.tracker.update(raw, now, topic):

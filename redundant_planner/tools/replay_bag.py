@@ -15,7 +15,13 @@ from rich.console import Console
 from rich.progress import track
 import yaml
 
-from redundant_planner.analysis.replay_inputs import Inputs, rate_of, read_inputs, ticks_of_topics
+from redundant_planner.analysis.replay_inputs import (
+    checksum,
+    Inputs,
+    rate_of,
+    read_inputs,
+    ticks_of_topics,
+)
 from redundant_planner.core.errors import ObstacleError, ParameterError, PlannerError
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters, ros_name
@@ -108,6 +114,7 @@ def _rows(
     # Ticks that are made up start again after every pause, where the arm was then.
     made_up = not inputs.ticks
     held, applied = 0, [0] * len(inputs.obstacles)
+    counts: list[int] = []
     count = len(ticks)
     positions, velocities = np.empty((count, robot.n)), np.empty((count, robot.n))
     previous = ticks[0][1].time
@@ -117,10 +124,11 @@ def _rows(
         if measured:
             q = tick.q
         # What was taken in after the tick before, with that tick's time.
-        for topic, read in enumerate((tick.obstacle_messages, *tick.more_messages)[:len(applied)]):
+        for topic, read in enumerate(_read(inputs, counts, applied, tick)):
             for _, raw in inputs.obstacles[topic][applied[topic]:read]:
                 book.update(raw, previous, topic)
             applied[topic] = max(applied[topic], read)
+        counts = [count for count, _ in tick.more_messages]
         for _, raw in inputs.attached[held:tick.attached_messages]:
             payload.tracker.update(raw, previous)
         held = max(held, tick.attached_messages)
@@ -141,6 +149,28 @@ def _rows(
         q, previous = q + dt * dq, tick.time
     return Replay(np.array([time for time, _ in ticks]), positions, velocities,
                   np.array([tick.twist for _, tick in ticks]).reshape(-1, 6))
+
+
+def _read(
+    inputs: Inputs, counts: list[int], applied: list[int], tick: RecordedTick,
+) -> list[int]:
+    """Return how many of the recorded messages with obstacles a tick knows, of each topic.
+
+    Args:
+        inputs: of the bag.
+        counts: of the tick before, of all topics but the first.
+        applied: how many it knew.
+        tick: which.
+    """
+    known = [tick.obstacle_messages]
+    for i, (count, check) in enumerate(tick.more_messages[:len(applied) - 1]):
+        known.append(applied[i + 1])
+        if not counts or count != counts[i]:
+            # A message that was not recorded changes nothing.
+            known[-1] = next((
+                place + 1 for place in range(applied[i + 1], len(inputs.obstacles[i + 1]))
+                if checksum(inputs.obstacles[i + 1], place + 1) == check), known[-1])
+    return known
 
 
 def _hold(payload: Payload, planner: Planner | PaperPlanner, book: ObstacleSources) -> None:

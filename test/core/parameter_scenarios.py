@@ -73,12 +73,21 @@ def free(parameters):
 
 def to_a_target_behind_a_ball(parameters):
     """The Panda's tip to a pose that a line leads to through a ball."""
+    return _to_a_target(parameters, 0.3, 5.0)
+
+
+def to_a_target_in_a_ball(parameters):
+    """The Panda's tip to a pose that something else is at."""
+    return _to_a_target(parameters, 0.5, 8.0)
+
+
+def _to_a_target(parameters, aside, seconds):
     robot, postures, results = ROBOTS['panda'], [np.array(PANDA_READY)], []
     planner, arm = Planner(robot, parameters), robot.kinematics(np.array(PANDA_READY))
     target = Pose(arm.tip_position + (0.0, 0.5, 0.0), arm.tip_rotation)
-    ball = Ball(tuple(arm.tip_position + (0.0, 0.3, 0.0)), 0.06)
+    ball = Ball(tuple(arm.tip_position + (0.0, aside, 0.0)), 0.06)
     scene = Scene.of([Obstacle('ball0', ball.at(0.0), np.full(3, ball.radius))])
-    for _ in range(round(5.0 / DT)):
+    for _ in range(round(seconds / DT)):
         results.append(planner.step(postures[-1], np.zeros(6), scene, DT, target=target))
         postures.append(postures[-1] + DT * results[-1].dq)
     return Motion(robot, np.array(postures), results, (ball,))

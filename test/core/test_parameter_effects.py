@@ -53,6 +53,7 @@ from parameter_scenarios import (
     stretching,
     tilting,
     to_a_target_behind_a_ball,
+    to_a_target_in_a_ball,
     towards_a_ball,
     with_slow_drives,
 )
@@ -101,6 +102,7 @@ CASES = [
     Case('path_priority', 'strict', 'yield', into_the_forearm, largest_path_error, '+'),
     Case('path_priority', 'yield', 'slide', held_up, time_lost, '-'),
     Case('target_path', 'straight', 'free', to_a_target_behind_a_ball, distance_left, '-'),
+    Case('target_gives_way', False, True, to_a_target_in_a_ball, distance_left, '+'),
     Case('posture_preferred', (), ('panda_joint3=0.5',), free, off_preferred, '-', EQ_2),
     Case('posture_preferred', (), ('panda_joint3=0.5',), free, off_preferred, '-', VARIATIONAL),
     Case('posture_weight', 0.0, 5.0, free, off_preferred, '-', PREFERRED),

@@ -185,17 +185,19 @@ def test_whatever_numbers_a_tick_has_it_is_sound_or_refused(numbers):
 
 @pytest.mark.parametrize('target', [
     None, np.arange(7.0), Pose(np.array([0.1, 0.2, 0.3]), np.diag([1.0, -1.0, -1.0]))])
-def test_every_kind_of_target_survives_the_way_there_and_back(target):
+@pytest.mark.parametrize('topics', [(), ((3, 2**32 - 1),), ((1, 0), (0, 7), (9, 8))])
+def test_every_kind_of_target_survives_the_way_there_and_back(target, topics):
     tick = RecordedTick(10, 1.0, TickKind.GOING_ON, 0, 0, np.nan, 0, np.zeros(6), np.ones(7),
-                        target)
+                        target, topics)
     found = RecordedTick.of(tick.numbers(), 7)
     assert type(found.target) is type(target) and found.kind is TickKind.GOING_ON
+    assert found.more_messages == topics
     one, other = (given if isinstance(given, Pose) else (given,)
                   for given in (found.target, target))
     for part, wanted in zip(one, other, strict=True):
         np.testing.assert_array_equal(part, wanted)
     np.testing.assert_array_equal(found.q, tick.q)
-    if target is not None:
+    if target is not None and not topics:
         spoiled = tick.numbers()
         spoiled[-1] = np.nan
         with pytest.raises(StateError):

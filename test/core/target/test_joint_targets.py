@@ -72,6 +72,21 @@ def test_a_target_that_touches_something_is_waited_for():
     run.assert_within_limits()
 
 
+def test_an_arm_that_gives_way_steps_aside_and_comes_back():
+    """What is at its target has to get past it to leave."""
+    ball, cap = Obstacle('ball', tip(PANDA, RIGHT).position, np.full(3, 0.1)), 'makes way'
+    patient, kind = Run(start=LEFT), Run(start=LEFT, target_gives_way=True)
+    for run in (patient, kind):
+        run.to(RIGHT, 8.0, Scene.of([ball]))
+    assert not any(cap in result.reason for result in patient.results)
+    assert any(cap in result.reason for result in kind.results)
+    away = [np.linalg.norm(run.tips[-1] - ball.center) for run in (patient, kind)]
+    assert away[1] > away[0] + 0.1
+    assert kind.to(RIGHT, 20.0).state is TargetState.REACHED
+    np.testing.assert_allclose(kind.q, RIGHT, atol=REACHED)
+    kind.assert_within_limits()
+
+
 def test_targets_of_both_kinds_and_a_twist_take_turns_on_the_way():
     run = Run(start=LEFT)
     run.to(lambda _: RIGHT, 0.7)
