@@ -258,6 +258,13 @@ class PlannerParameters:
                     "obstacle, or the namespace of its marker; the link 'attached' is what the "
                     'hand holds. Such a pair keeps no margin, and what touches does not get '
                     'deeper. A contact that is not allowed ends as soon as the arm may move.')
+    slow_down: tuple[str, ...] = parameter(
+        (), runtime=True,
+        description="Obstacles near which no point of the arm is fast, as 'name=distance:time': "
+                    'the name, or the namespace of markers, the distance [m] at which the arm '
+                    'stands still, and the time [s] in which it could stop. At a distance d from '
+                    'one that moves at v, it is no faster than (d - distance) / time - v. Not '
+                    'safety-rated.')
     limits_position_margin: float = parameter(
         0.01, low=0.0, high=0.5, unit='rad, m', runtime=True,
         group='limits',

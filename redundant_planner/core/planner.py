@@ -34,6 +34,7 @@ from redundant_planner.core.safety.barriers import without_null_space
 from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, window_of
 from redundant_planner.core.safety.limits import can_stop, slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
+from redundant_planner.core.safety.slow_down import FREE, SlowDown
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.free_way import JointMotion
@@ -120,6 +121,7 @@ class Planner:
         weights, limits = joint_weights(robot, parameters), limits_of(robot, parameters)
         constants, gains = robot_constants(robot, parameters), gains_of(parameters)
         watch = ObstacleWatch(robot, parameters, limits, constants, gains)
+        slow_down = SlowDown(robot, parameters.slow_down)
         # Nothing has changed where one of these refused the parameters.
         self._parameters, self._weights, self._limits = parameters, weights, limits
         self._constants, self._gains = constants, gains
@@ -128,7 +130,7 @@ class Planner:
             robot, parameters, self._limits, self._constants, self._gains)
         self._way = Way(robot, parameters, limits, constants, gains)
         self._evasion = Evasion(robot, parameters)
-        self._watch = watch
+        self._watch, self._slow_down = watch, slow_down
         drive = parameters.drive_lag, parameters.drive_dead_time
         if drive != (self._observer.lag, self._observer.dead_time):
             self._observer = JointObserver(robot.n, *drive)
@@ -257,9 +259,15 @@ class Planner:
         if self._filtered and (joints is not None or not desired.admissible):
             result = self._filter(desired, start, joints)
             reason = self._reason(result, desired, around, commanded, dt)
+        near = self._slow_down.limit(scene, arm)
+        slower = ''
+        if near is not FREE:
+            before, result = result, self._slow_down.slowed(
+                result, near, arm, last.dq, dt * self._limits.acceleration_max)
+            slower = str(near) if result is not before else ''
         fallbacks = self._fallbacks(result, desired, path is None and joints is None, crowded)
         jerk_kept = self._mean.ticks >= self._ticks(dt)
-        reasons = [text for text in (*fallbacks, self._way.lacks, reason) if text]
+        reasons = [text for text in (*fallbacks, self._way.lacks, slower, reason) if text]
         if not jerk_kept:
             reasons = [*reasons, 'jerk gives way to a clearance']
 

@@ -130,6 +130,7 @@ CASES = [
     Case('criteria_joint_weights', (1.0,) * 7, (5.0, *(1.0,) * 6), free, way_of_the_first_joint,
          '-'),
     Case('clearance_margin', 0.01, 0.05, towards_a_ball, smallest_distance, '+'),
+    Case('slow_down', (), ('ball0=0.1:1.0',), towards_a_ball, time_lost, '+'),
     Case('clearance_influence_distance', 0.05, 0.1, towards_a_ball, distance_at_first_evasion,
          '+', ONLY_CLEARANCE),
     Case('clearance_smoothing', 0.0, 0.5, between_two_balls, largest_jump_of_the_null_space, '-',

@@ -61,11 +61,11 @@ class AllowedContacts:
         self._rows: list[tuple[str, Flags]] = []
         for entry in entries:
             link, _, obstacle = entry.partition(':')
-            rows = np.array([_names(link, c.name) or link == c.frame for c in robot.capsules],
+            rows = np.array([is_named(link, c.name) or link == c.frame for c in robot.capsules],
                             dtype=bool)
-            if not rows.any() and link not in robot.links_at_rest and not _names(ATTACHED, link):
+            if not rows.any() and link not in robot.links_at_rest and not is_named(ATTACHED, link):
                 links = dict.fromkeys(name for c in robot.capsules for name in (c.frame, c.name)
-                                      if not _names(ATTACHED, c.name))
+                                      if not is_named(ATTACHED, c.name))
                 raise ParameterError(
                     f"parameter 'allowed_contacts' has '{entry}'; the arm has no link '{link}' "
                     f"with a shape; '{ATTACHED}' is what it holds, and its own are "
@@ -81,13 +81,13 @@ class AllowedContacts:
         if self._known is None or self._known[0] != names:
             flags = np.zeros((self._count, len(names)), bool)
             for obstacle, rows in self._rows:
-                flags |= rows[:, None] & np.array([_names(obstacle, n) for n in names], bool)
+                flags |= rows[:, None] & np.array([is_named(obstacle, n) for n in names], bool)
             self._known = names, flags
         return self._known[1]
 
 
-def _names(part: str, name: str) -> bool:
-    """Return whether a name is this one, or one within it."""
+def is_named(part: str, name: str) -> bool:
+    """Return whether a name is this one, or one within it: 'person' has 'person/3'."""
     return name == part or name.startswith(f'{part}/')
 
 

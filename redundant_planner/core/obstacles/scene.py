@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 import math
 
@@ -122,6 +122,13 @@ class Scene:
         if shape == HALF_SPACE:
             return Obstacle.half_space(name, center, **place)
         return Obstacle(name, center, (x, y, z), **place)
+
+
+def selected(scene: Scene, rows: Sequence[int]) -> Scene:
+    """Return some obstacles of a scene."""
+    index = np.array(rows, dtype=np.intp)
+    return Scene(tuple(scene.names[i] for i in rows),
+                 *(getattr(scene, entry.name)[index] for entry in fields(Scene)[1:]))
 
 
 def joined(scenes: Iterable[Scene]) -> Scene:

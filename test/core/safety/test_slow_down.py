@@ -1,0 +1,108 @@
+"""Slower near people: the speed of every link stays below the one for its distance."""
+
+from __future__ import annotations
+
+from conftest import make_panda, PANDA_READY
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+from target_run import DT, PANDA, Run, STILL, tip
+
+from redundant_planner.core.errors import ParameterError
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+
+RADII = np.array([capsule.radius for capsule in PANDA.capsules])
+# Beside the way of the hand, which passes it.
+PERSON = Obstacle('person/1', (0.45, 0.55, 0.5), np.full(3, 0.1))
+ACROSS = np.array([0.0, 0.25, 0.0, 0.0, 0.0, 0.0])
+
+
+def drive(twist, scene, seconds, **parameters):
+    """Follow a twist; the postures and the results."""
+    planner = Planner(PANDA, PlannerParameters(**parameters))
+    postures, results = [np.array(PANDA_READY)], []
+    for i in range(round(seconds / DT)):
+        results.append(planner.step(
+            postures[-1], twist, scene(i * DT) if callable(scene) else scene, DT))
+        postures.append(postures[-1] + DT * results[-1].dq)
+    return np.array(postures), results
+
+
+def speeds(postures):
+    """The fastest of the links' ends and the tip between every two postures [m/s]."""
+    arms = [PANDA.kinematics(q) for q in postures]
+    points = np.array([np.vstack((a.segment_start, a.segment_end, a.tip_position)) for a in arms])
+    return np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1) / DT
+
+
+def distances(postures, ball):
+    """Of any link to a ball [m], by sampling the capsules' segments."""
+    share = np.linspace(0.0, 1.0, 101)[:, None, None]
+    found = []
+    for q in postures[:-1]:
+        arm = PANDA.kinematics(q)
+        points = arm.segment_start + share * (arm.segment_end - arm.segment_start)
+        away = np.linalg.norm(points - ball.center, axis=2) - RADII - ball.half_extents[0]
+        found.append(away.min())
+    return np.array(found)
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(st.floats(0.1, 0.3), st.floats(0.3, 2.0))
+def test_no_link_is_faster_than_its_distance_allows_and_the_path_is_kept(keep, time):
+    scene = Scene.of([PERSON])
+    postures, results = drive(ACROSS, scene, 3.0, slow_down=(f'person={keep}:{time}',))
+    allowed = np.maximum((distances(postures, PERSON) - keep) / time, 0.0)
+    # Commands are the mean of 10 ms of plans.
+    assert (speeds(postures) <= np.maximum(allowed, allowed.max() * 0.01) * 1.05 + 2e-3).all()
+    assert any("slower near 'person/1'" in r.reason for r in results)
+    assert max(np.linalg.norm(r.path_error[:3]) for r in results) < 1e-3
+    assert distances(postures, PERSON).min() > keep - 5e-3
+    free, _ = drive(ACROSS, scene, 3.0)
+    assert distances(free, PERSON).min() < keep
+
+
+def test_others_do_not_matter_nor_do_those_far_away():
+    postures, results = drive(ACROSS, Scene.of([PERSON]), 1.0, slow_down=('pers=0.3:1.0',))
+    free, _ = drive(ACROSS, Scene.of([PERSON]), 1.0)
+    np.testing.assert_array_equal(postures, free)
+    assert not any('slower near' in r.reason for r in results)
+
+
+def test_one_that_appears_makes_the_arm_brake_within_its_limits():
+    beside = tip(PANDA, PANDA_READY).position + (0.0, 0.6, 0.1)
+    near = Obstacle('person/1', beside, np.full(3, 0.1))
+    postures, results = drive(ACROSS, lambda t: Scene.of([near] if t > 0.8 else []), 2.0,
+                              slow_down=('person=0.5:1.0',))
+    velocities = np.diff(postures, axis=0) / DT
+    acceleration = np.diff(velocities, axis=0) / DT
+    assert (np.abs(acceleration) <= PANDA.acceleration_max * (1 + 1e-6)).all()
+    assert (np.abs(np.diff(acceleration, axis=0)) / DT <= PANDA.jerk_max * (1 + 1e-6)).all()
+    assert np.abs(results[round(0.79 / DT)].dq).max() > 0.05
+    assert np.abs(results[-1].dq).max() < 1e-3
+
+
+def test_one_that_walks_counts_as_nearer_and_targets_slow_down_too():
+    walking = Obstacle('person/1', PERSON.center, PERSON.half_extents, velocity=(0.2, 0.0, 0.0))
+    still, _ = drive(ACROSS, Scene.of([PERSON]), 1.0, slow_down=('person=0.1:1.0',))
+    moving, _ = drive(ACROSS, Scene.of([walking]), 1.0, slow_down=('person=0.1:1.0',))
+    assert speeds(moving).max() < speeds(still).max() - 0.1
+    run = Run(slow_down=('person=0.1:1.0',))
+    goal = PANDA_READY + [0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    for _ in range(250):
+        result = run.planner.step(run.q, STILL, Scene.of([PERSON]), DT, target=goal)
+        run.q = run.q + DT * result.dq
+        run.positions.append(run.q)
+    path = np.array(run.positions)
+    allowed = np.maximum(distances(path, PERSON) - 0.1, 0.0)
+    assert (speeds(path) <= 1.05 * allowed + 2e-3).all()
+
+
+@pytest.mark.parametrize('entry', ['person', 'person=1', 'person=a:b', '=0.3:1', 'person=0.3:0',
+                                   'person=-1:1', 'person=0.3:nan'])
+def test_what_is_no_separation_is_refused(entry):
+    with pytest.raises(ParameterError, match=r"'slow_down' has .* as 'person=0\.3:0\.5'"):
+        Planner(make_panda(), PlannerParameters(slow_down=(entry,)))
