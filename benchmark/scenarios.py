@@ -52,6 +52,9 @@ UNFILTERED = ('least_norm', 'gradient_projection', 'dynamic_factor_unfiltered')
 # These are told the twist ahead, as a user does who plays a profile.
 KNOWN = ('variational_known',)
 PEERS = {'mink': 'Mink', 'pink': 'Pink'}
+# After the twist, while obstacles move on: the last has passed by 2 s, and 4 s are for the way
+# back [s].
+_TO_COME_BACK = 6.0
 
 
 @dataclass(frozen=True)
@@ -84,12 +87,12 @@ def run_planner(
 ) -> Outcome:
     """Run the planner in closed loop with an ideal arm; tell it the twist ahead if `known`."""
     planner = Planner(robot, parameters, filtered=filtered)
-    count = round(DURATION / DT)
+    moving = _is_moving(task)
+    count = round((DURATION + moving * _TO_COME_BACK) / DT)
     postures = np.empty((count + 1, robot.n))
     postures[0] = task.start
     velocities, ticks = np.empty((count, robot.n)), np.empty(count)
     scene = Scene.of(task.obstacles)
-    moving = any(o.velocity.any() for o in task.obstacles)
     slowest, reasons = 1.0, {}
     for i in range(count):
         if moving:
@@ -114,11 +117,12 @@ def run_peer(
     p = PlannerParameters()
     peer = library(robot, task.obstacles, p.clearance_margin, p.clearance_self_margin)
     poses = path_poses(robot, task, DT)
+    moving = _is_moving(task)
+    poses += [poses[-1]] * round(moving * _TO_COME_BACK / DT)
     count = len(poses) - 1
     postures = np.empty((count + 1, robot.n))
     postures[0] = task.start
     velocities, ticks = np.empty((count, robot.n)), np.empty(count)
-    moving = any(o.velocity.any() for o in task.obstacles)
     for i in range(count):
         if moving:
             peer.move(task.obstacles_at(i * DT))
@@ -138,9 +142,13 @@ def _outcome(
     # end of the path tells whether anything was lost.
     tracked = (on_time and verdict.path_error < 1e-3 and verdict.turn_error < _TURN
                and verdict.completed)
-    hit = evades and verdict.min_distance < 0.0 and any(o.velocity.any() for o in task.obstacles)
+    hit = evades and verdict.min_distance < 0.0 and _is_moving(task)
     return Outcome(task.seed, verdict, tracked, reasons, 1e6 * ticks, postures,
                    hit and unavoidable(judge.robot, task))
+
+
+def _is_moving(task: Task) -> bool:
+    return any(o.velocity.any() for o in task.obstacles)
 
 
 def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
@@ -152,6 +160,8 @@ def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
         'unavoidable': sum(o.unavoidable for o in outcomes),
         'limit_violations': sum(v.limit_violation > 0.0 for v in verdicts),
         'tracked': float(np.mean([o.tracked for o in outcomes])),
+        'on_path_at_the_end': float(np.mean([v.final_error < 1e-3 for v in verdicts])),
+        'path_error_median_mm': 1e3 * float(np.median([v.path_error for v in verdicts])),
         'max_path_error_mm': 1e3 * max(v.path_error for v in verdicts),
         'max_turn_error_deg': float(np.rad2deg(max(v.turn_error for v in verdicts))),
         'max_final_error_mm': 1e3 * max(v.final_error for v in verdicts),

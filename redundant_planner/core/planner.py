@@ -37,6 +37,7 @@ from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.slow_down import FREE, SlowDown
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
 from redundant_planner.core.step_result import Nearest, StepResult
+from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.free_way import JointMotion
 from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.way import Way
@@ -48,6 +49,8 @@ Array = npt.NDArray[np.float64]
 _SHORTEST_TICK = 1e-4
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
 _MANY_DISTANCES = 3000
+# What is said while the arm is on a free way back to its path.
+_BACK = 'the arm comes back to its path'
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
 _RUSH = 0.1
 
@@ -129,6 +132,7 @@ class Planner:
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
         self._way = Way(robot, parameters, limits, constants, gains)
+        self._back = ComingBack(robot, constants)
         self._evasion = Evasion(robot, parameters)
         self._watch, self._slow_down = watch, slow_down
         drive = parameters.drive_lag, parameters.drive_dead_time
@@ -170,6 +174,7 @@ class Planner:
         self._links = self._never_measured()
         self._look_ahead.reset()
         self._way.reset()
+        self._back.reset()
         self._evasion.reset()
         self._watch.reset()
 
@@ -229,12 +234,16 @@ class Planner:
         # Aim: at the target, out of the course of what moves, and along the joint path ahead.
         start = Start(arm, last.reference or pose, command, last.dq, dt)
         joints: JointMotion | None = None
-        if target is None:
+        goal = self._back.target if target is None else target
+        if target is not None:
+            self._back.reset()
+        if goal is None:
             self._way.reset()
         else:
             command, ahead, joints = self._way.aim(
-                start, target, self.robot.full_twist(last.followed),
-                0.5 * (self._mean.ticks - 1) * dt, self._watch.everywhere)
+                start, goal, self.robot.full_twist(last.followed),
+                0.5 * (self._mean.ticks - 1) * dt, self._watch.everywhere,
+                free=target is None)
             start, commanded = start._replace(command=command), bool(command.any())
         turn, path = self._turn(start, around), None
         if joints is None:
@@ -267,7 +276,8 @@ class Planner:
             slower = str(near) if result is not before else ''
         fallbacks = self._fallbacks(result, desired, path is None and joints is None, crowded)
         jerk_kept = self._mean.ticks >= self._ticks(dt)
-        reasons = [text for text in (*fallbacks, self._way.lacks, slower, reason) if text]
+        back = _BACK if goal is not None and target is None else ''
+        reasons = [text for text in (*fallbacks, back, self._way.lacks, slower, reason) if text]
         if not jerk_kept:
             reasons = [*reasons, 'jerk gives way to a clearance']
 
@@ -277,11 +287,15 @@ class Planner:
         else:
             followed, reached = arm.jacobian @ result.dq, None
             self._way.went_on(result, dt)
+        leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
+        if target is None and self._back.note(
+                last.reference or pose, pose, followed, dt, leaving=leaving,
+                lost=bool(self._way.lacks)):
+            reached = None
         sent = self._mean.take(result.dq)
         self._observer.commanded(sent, dt)
         self._last = _LastTick(
-            result.dq, sent, last.sent, reached, followed,
-            result.stage in (Stage.YIELDING, Stage.FORCED),
+            result.dq, sent, last.sent, reached, followed, leaving,
             _RUSH if result.stage is Stage.FORCED and desired.intruded else last.rush - dt)
         return StepResult(
             sent.copy(), desired.least_norm, desired.homogeneous, desired.factor,
@@ -300,6 +314,7 @@ class Planner:
             dt: how long it holds [s].
         """
         last = self._last
+        self._back.reset()
         self._mean.start(self._mean.ticks, dq, dq - last.sent)
         self._observer.commanded(dq, dt)
         self._last = self._at_rest()._replace(

@@ -73,7 +73,7 @@ class Way:
 
     def aim(
         self, start: Start, target: Target, followed: Array, delay: float,
-        obstacles: Callable[[], InflatedObstacles],
+        obstacles: Callable[[], InflatedObstacles], *, free: bool = False,
     ) -> Aim:
         """Return what to do in a tick.
 
@@ -84,18 +84,19 @@ class Way:
             delay: of the commands behind what is planned [s].
             obstacles: returns those now, for links with their margin; the same object while
                 nothing changes.
+            free: whether the way is free in any case.
         """
-        line, free = self._line, self._free
+        line, way = self._line, self._free
         if isinstance(target, Pose):
             target = line.sense(target, start.dt)
         else:
             line.reset()
             target = self._within_limits(target)
         joints = None
-        if isinstance(target, Pose) and (self._straight or line.follows_stream):
-            free.reset()
+        if isinstance(target, Pose) and not free and (self._straight or line.follows_stream):
+            way.reset()
         else:
-            joints = free.motion(
+            joints = way.motion(
                 start, target, lambda: self._space_among(obstacles()), stuck=line.is_stuck)
         if joints is not None:
             line.begin()

@@ -1,0 +1,83 @@
+"""Back to the commanded path after an evasion, by a free way where the tip is stuck on its way."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.constants import RobotConstants
+from redundant_planner.core.redundancy.reference import followed_pose
+from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
+
+Array = npt.NDArray[np.float64]
+
+# A tip this near to its path is back on it [m, rad].
+_BACK = 1e-3
+# It is stuck if it has not come nearer by as much in so long [m, rad], [s].
+_NEARER, _PATIENCE = 2e-3, 0.3
+# Without a way for so long, the path goes on from where the tip is [s].
+_IN_VAIN = 5.0
+
+
+class ComingBack:
+    """Whether the arm has left its path, and how it gets back to it."""
+
+    def __init__(self, robot: Robot, constants: RobotConstants) -> None:
+        """Prepare for an arm."""
+        self._robot, self._constants = robot, constants
+        self.reset()
+
+    def reset(self) -> None:
+        """The arm is on its path, wherever that is."""
+        self._home: Pose | None = None  # where the path has got to
+        self._goes = False  # by a free way
+        self._nearest = np.inf
+        self._waited = 0.0
+
+    @property
+    def target(self) -> Pose | None:
+        """Where a free way shall lead; None where the tip gets back by itself, or is there."""
+        return self._home if self._goes else None
+
+    def note(
+        self, reference: Pose, tip: Pose, followed: Array, dt: float, *, leaving: bool,
+        lost: bool,
+    ) -> bool:
+        """Note how a tick went.
+
+        Args:
+            reference: where the tip should have been.
+            tip: where it was.
+            followed: (m,) the part of the path that was followed.
+            dt: [s].
+            leaving: whether the arm evades something.
+            lost: whether no free way is known.
+
+        Returns:
+            Whether the path goes on from where the tip is: there is no way back.
+        """
+        if self._home is None:
+            if not leaving:
+                return False
+            self._home = reference
+        if not self._goes:
+            self._home = followed_pose(
+                self._home, followed, self._constants.rows, self._constants.in_tool, dt)
+        off = float(np.abs(self._robot.task_rows(
+            se3.pose_error(self._home, tip, self._robot.in_tool))).max())
+        if off < _BACK and not leaving:
+            self.reset()
+        elif self._goes:
+            self._waited = self._waited + dt if lost else 0.0
+            if self._waited > _IN_VAIN:
+                self.reset()
+                return True
+        elif leaving or off < self._nearest - _NEARER:
+            self._nearest, self._waited = off, 0.0
+        else:
+            self._waited += dt
+            self._goes = self._waited > _PATIENCE
+            self._waited *= not self._goes
+        return False

@@ -1,0 +1,60 @@
+"""After an evasion the tip comes back to its path, by a free way where it is stuck otherwise."""
+
+from __future__ import annotations
+
+from conftest import PANDA_READY
+import numpy as np
+import pytest
+from target_run import AT_REST, DT, EMPTY, PANDA, tip
+
+from benchmark.sweeps import run as sweep
+from redundant_planner.core.constants import robot_constants
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot import se3
+from redundant_planner.core.target.coming_back import ComingBack
+
+
+@pytest.mark.parametrize('seed', [91062, 91076])
+def test_an_arm_that_was_driven_into_its_limits_arrives_all_the_same(seed):
+    """Two balls drive it into a corner that no straight way leads out of."""
+    found = sweep(PANDA, seed, PlannerParameters())
+    assert found.seconds < 14.0 and found.distance < 1e-3
+    assert found.clearance > 0.0 and found.violation == 0.0
+    assert found.off > 0.1  # else nothing was evaded
+
+
+def coming_back(away, nearer, seconds, *, lost=False):
+    """Leave a path by `away` [m], come nearer at some speed [m/s]; what is asked for, and said."""
+    back = ComingBack(PANDA, robot_constants(PANDA, PlannerParameters()))
+    home, still = tip(PANDA, PANDA_READY), np.zeros(6)
+    asked = gave_up = False
+    for i in range(round(seconds / DT)):
+        off = max(away - nearer * i * DT, 0.0)
+        there = se3.displaced(home, np.array([0.0, off, 0.0, 0.0, 0.0, 0.0]), False)
+        gave_up = back.note(home, there, still, DT, leaving=i == 0, lost=lost) or gave_up
+        asked = asked or back.target is not None
+    return asked, gave_up, back
+
+
+def test_a_free_way_is_asked_for_only_where_the_tip_does_not_come_nearer():
+    asked, _, back = coming_back(0.1, 0.05, 4.0)
+    assert not asked and back.target is None
+    asked, _, back = coming_back(0.1, 0.0, 4.0)
+    assert asked
+    np.testing.assert_allclose(back.target.position, tip(PANDA, PANDA_READY).position)
+
+
+def test_where_there_is_no_way_the_path_goes_on_from_there():
+    _, gave_up, back = coming_back(0.1, 0.0, 7.0, lost=True)
+    assert gave_up and back.target is None
+    assert not coming_back(0.1, 0.0, 7.0)[1]
+
+
+def test_an_arm_on_its_path_is_left_alone():
+    planner, q = Planner(PANDA, PlannerParameters()), np.array(PANDA_READY)
+    for _ in range(250):
+        result = planner.step(q, np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0]), EMPTY, DT)
+        assert 'comes back' not in result.reason
+        q = q + DT * result.dq
+    assert np.abs(result.dq).max() > AT_REST
