@@ -29,11 +29,12 @@ def share_directory() -> Path:
 
 
 def resolve(location: str, relative_to: Path | None = None) -> Path:
-    """Return the file that a location names.
+    """Return the file that a location names, as an absolute path.
 
     Args:
         location: a path, `file://` path or `package://name/path`; the package may be one that
-            `relative_to` lies in, or one that is installed.
+            `relative_to` lies in, one that is installed, or a folder next to `relative_to` or
+            above it.
         relative_to: folder for relative paths; the working directory if not given.
 
     Raises:
@@ -42,11 +43,13 @@ def resolve(location: str, relative_to: Path | None = None) -> Path:
     try:
         if location.startswith('package://'):
             package, _, rest = location[len('package://'):].partition('/')
-            path = _beside(package, rest, relative_to) or _package_share(package) / rest
+            path = _package_file(package, rest, relative_to)
         else:
             path = Path(location.removeprefix('file://')).expanduser()
             if not path.is_absolute() and relative_to is not None:
                 path = relative_to / path
+        # Meshes are looked up from here, and files that name it are read from elsewhere.
+        path = path.absolute()
         found = path.is_file()
     except (OSError, RuntimeError) as error:  # too long, or the home of nobody
         reason = error.strerror if isinstance(error, OSError) else error
@@ -93,12 +96,30 @@ def yaml_content(text: str, what: str) -> Any:
         raise PlannerError(f'{what} is not valid YAML: {words[:300]}') from None
 
 
-def _beside(package: str, rest: str, folder: Path | None) -> Path | None:
-    """Return a package's file if the folder lies in that package, installed or not."""
-    for above in (folder, *folder.parents) if folder is not None else ():
-        if above.name == package and (above / rest).is_file():
-            return above / rest
-    return None
+def _package_file(package: str, rest: str, folder: Path | None) -> Path:
+    """Return a package's file: of the package that the folder lies in, installed, or next to it.
+
+    Raises:
+        PlannerError: there is no such package.
+    """
+    above: list[Path] = []
+    if folder is not None:
+        # As it was named, and where links and '..' lead.
+        above = [parent for path in (folder.absolute(), folder.resolve())
+                 for parent in (path, *path.parents)]
+    inside = next((parent / rest for parent in above
+                   if parent.name == package and (parent / rest).is_file()), None)
+    if inside is not None:
+        return inside
+    beside = next((parent / package / rest for parent in above
+                   if (parent / package / rest).is_file()), None)
+    try:
+        installed = _package_share(package) / rest
+    except PlannerError:
+        if beside is not None:
+            return beside
+        raise
+    return installed if installed.is_file() or beside is None else beside
 
 
 def _package_share(package: str) -> Path:

@@ -1,10 +1,14 @@
-"""show_robot: a picture of an arm as the planner sees it, and a parameter file to start from."""
+"""show_robot: a picture of an arm as the planner sees it, and a parameter file to start from.
+
+The file has a posture at which a simulated arm starts: clear of itself, away from limits and
+singularities.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 import sys
 import time
@@ -19,11 +23,15 @@ import yaml
 from redundant_planner.analysis.figures import robot_picture
 from redundant_planner.core.errors import PlannerError, RobotError
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import collision_pieces
 from redundant_planner.io.link_shapes import capsule_entry, Fit, fitted_capsules
+from redundant_planner.io.node_parameters import FakeHardwareParameters
 from redundant_planner.io.parameter_files import (
+    read_parameter_file,
     read_robot_parameters,
     RobotParameters,
+    settings_of,
     urdf_folder,
     urdf_text,
 )
@@ -33,104 +41,222 @@ from redundant_planner.io.robot_files import build_robot, likely_tip
 Array = npt.NDArray[np.float64]
 
 
-def parameter_file(parameters: RobotParameters, robot: Robot) -> str:
-    """Return a ROS parameter file for a robot, its capsules included."""
+_PACKAGE = 'package://'
+
+
+@dataclass(frozen=True)
+class Described:
+    """What tells an arm from another: its parameters, and the shapes that they name.
+
+    Attributes:
+        parameters: of the robot; `urdf` is a package:// location or an absolute path.
+        capsules: name → {frame, start, end, radius}.
+        start: joint name → where a simulated arm starts [rad, m]; empty for a proposal.
+    """
+
+    parameters: RobotParameters
+    capsules: Mapping[str, Mapping[str, Any]]
+    start: Mapping[str, float]
+
+
+def described_by_urdf(
+    urdf: str, tip: str, base: str, warn: Callable[[str], object],
+) -> Described:
+    """Return what a URDF says of an arm.
+
+    Args:
+        urdf: path, file:// or package:// location.
+        tip: link that is the end effector; the likely one if empty.
+        base: base link; the root if empty.
+        warn: takes a sentence about what the URDF lacks.
+
+    Raises:
+        PlannerError: it cannot be read, or describes no such arm.
+    """
+    text = read_text(resolve(urdf))
+    parameters = RobotParameters(
+        urdf=_from_anywhere(urdf, None), tip_frame=tip or likely_tip(text), base_frame=base)
+    try:
+        Robot(text, parameters.tip_frame, base_frame=base, capsules=[])
+    except RobotError as error:
+        if 'velocity_max' not in str(error):
+            raise
+        warn(f'{error}; 1.0 is taken')
+        parameters = replace(parameters, velocity_max=(1.0,))
+    return Described(parameters, {}, {})
+
+
+def described_by_file(
+    path: Path, urdf: str = '', tip: str = '', base: str = '',
+) -> Described:
+    """Return what a parameter file says of an arm.
+
+    Args:
+        path: of the file.
+        urdf, tip, base: what replaces the file's; empty for nothing.
+
+    Raises:
+        PlannerError: it cannot be used.
+    """
+    parameters, capsules = read_robot_parameters(path)
+    simulated = settings_of(FakeHardwareParameters, read_parameter_file(path))
+    parameters = replace(
+        parameters, tip_frame=tip or parameters.tip_frame,
+        base_frame=base or parameters.base_frame,
+        urdf=_from_anywhere(urdf, None) if urdf else _from_anywhere(parameters.urdf, path.parent))
+    return Described(parameters, capsules, dict(
+        zip(simulated.initial_joints, simulated.initial_positions)))
+
+
+def _from_anywhere(urdf: str, folder: Path | None) -> str:
+    """Return a location that means the same file from any folder."""
+    return urdf if urdf.startswith(_PACKAGE) or not urdf else str(resolve(urdf, folder))
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm as the planner sees it.
+
+    Attributes:
+        parameters: that describe it.
+        robot: the arm.
+        start: joint name → where a simulated arm starts [rad, m].
+        posture: (n,) of the chain then [rad, m].
+    """
+
+    parameters: RobotParameters
+    robot: Robot
+    start: Mapping[str, float]
+    posture: Array
+
+
+def arm_of(
+    described: Described, warn: Callable[[str], object], posture: Sequence[float] | None = None,
+) -> Arm:
+    """Build an arm, its capsules fitted, and find where it should start.
+
+    Args:
+        described: the arm.
+        warn: takes a sentence about links that nothing protects.
+        posture: (n,) to start at; the given one, or else a proposal, if None.
+
+    Raises:
+        PlannerError: it cannot be built, or does not have such a posture.
+    """
+    parameters = described.parameters
+    robot = build_robot(parameters, urdf_text(parameters), described.capsules, warn=warn)
+    names = robot.joint_names
+    if posture is not None:
+        q = robot.checked_posture(posture)
+    elif described.start:
+        # What is not named starts at 0, or at the limit nearest to it.
+        q = np.clip([described.start.get(name, 0.0) for name in names],
+                    robot.position_min, robot.position_max)
+        return Arm(parameters, robot, described.start, q)
+    else:
+        q = start_posture(robot)
+    locked = dict(zip(parameters.locked_joints, parameters.locked_positions))
+    return Arm(parameters, robot, {**locked, **dict(zip(names, q.tolist()))}, q)
+
+
+def parameter_file(
+    parameters: RobotParameters, robot: Robot, start: Mapping[str, float] | None = None,
+) -> str:
+    """Return a ROS parameter file for a robot, its capsules included.
+
+    Args:
+        parameters: that it was built with.
+        robot: the arm.
+        start: joint name → where a simulated arm starts [rad, m].
+    """
     capsules = {c.name: capsule_entry(c) for c in robot.capsules}
     given = {entry.name: getattr(parameters, entry.name) for entry in fields(parameters)
              if getattr(parameters, entry.name) != entry.default}
+    starts = {} if not start else {
+        'initial_joints': list(start), 'initial_positions': list(map(float, start.values()))}
     values: dict[str, Any] = {
         'urdf': parameters.urdf, 'base_frame': robot.base_frame, 'tip_frame': robot.tip_frame,
         'axes': robot.axes, 'acceleration_max': robot.acceleration_max.tolist(), **given,
-        'capsules': list(capsules), 'capsule': capsules}
+        **starts, 'capsules': list(capsules), 'capsule': capsules}
     values = {key: list(value) if isinstance(value, tuple) else value
               for key, value in values.items()}
     text = yaml.dump({'/**': {'ros__parameters': values}}, sort_keys=False, width=99,
                      default_flow_style=None)
     return ('# Made by show_robot. A URDF has no acceleration limits: replace acceleration_max by '
             "your\n# drives' own. The capsules contain all of the collision geometry that the "
-            f'chain moves.\n{text}')
+            'chain moves.\n' + ('' if not start else
+            '# A simulated arm (fake_hardware_node, mujoco_hardware_node) starts at '
+            'initial_positions.\n') + text)
+
+
+def draw(path: Path, arm: Arm, say: Callable[[str], object]) -> None:
+    """Write a picture of an arm at its start: collision geometry and capsules.
+
+    Args:
+        path: PNG or SVG file.
+        arm: the arm.
+        say: takes a sentence if meshes are missing in the picture.
+
+    Raises:
+        PlannerError: it cannot be written.
+    """
+    points: list[tuple[str, Array]] = []
+    if arm.parameters.urdf:
+        try:
+            points = [(piece.link, piece.points) for piece in collision_pieces(
+                arm.robot, urdf_folder(arm.parameters))]
+        except RobotError as error:
+            say(f'no meshes in the picture: {error}')
+    try:
+        robot_picture(path, arm.robot, arm.posture, points)
+    except (OSError, ValueError) as error:
+        raise PlannerError(f"the picture '{path}' cannot be made: {error}") from None
 
 
 def main(args: list[str] | None = None) -> int:
     """Run show_robot; return the process's exit status."""
     parser = argparse.ArgumentParser(prog='show_robot', description=__doc__)
-    parser.add_argument('--urdf', help='path, file:// or package:// location of the URDF')
+    parser.add_argument('--urdf', default='',
+                        help='path, file:// or package:// location of the URDF')
     parser.add_argument('--params', type=Path, help='parameter file of the robot instead')
-    parser.add_argument('--tip', help='link that is the end effector; the end of the longest '
-                                      'chain, before its hand, if not given')
+    parser.add_argument('--tip', default='',
+                        help='link that is the end effector; the end of the longest chain, '
+                             'before its hand, if not given')
     parser.add_argument('--base', default='', help='base link; the root if not given')
     parser.add_argument('--posture', type=float, nargs='+', metavar='Q',
-                        help='joint positions to draw; the middle of the range if not given')
+                        help='joint positions to draw and to start at; those of the file given, '
+                             'or else a proposal, if not given')
     parser.add_argument('--out', type=Path, default=Path('robot.png'),
                         help='picture to write, PNG or SVG (default: %(default)s)')
     options = parser.parse_args(args)
     console = Console(stderr=True)
+
+    def warn(sentence: str) -> None:
+        console.print(f'careful: {sentence}', style='yellow')
+
     try:
-        parameters, capsules, folder = _parameters(options)
+        described = _described(options, warn)
         began = time.monotonic()
-        robot = build_robot(
-            parameters, urdf_text(parameters, folder), capsules, folder=folder,
-            warn=lambda sentence: console.print(f'careful: {sentence}', style='yellow'))
+        arm = arm_of(described, warn, options.posture)
         fits: Sequence[Fit] = ()
-        points: list[tuple[str, Array]] = []
-        if parameters.link_shapes == 'fitted' and not parameters.capsules:
-            fits = fitted_capsules(robot, urdf_folder(parameters, folder))
-        if parameters.urdf:
-            try:
-                points = [(piece.link, piece.points) for piece in collision_pieces(
-                    robot, urdf_folder(parameters, folder))]
-            except RobotError as error:
-                console.print(f'no meshes in the picture: {error}', style='yellow')
-        posture = _posture(robot, options.posture)
-        try:
-            robot_picture(options.out, robot, posture, points)
-        except (OSError, ValueError) as error:
-            raise PlannerError(f"the picture '{options.out}' cannot be made: {error}") from None
-        console.print(_table(robot, fits, time.monotonic() - began))
+        if arm.parameters.link_shapes == 'fitted' and not arm.parameters.capsules:
+            fits = fitted_capsules(arm.robot, urdf_folder(arm.parameters))
+        draw(options.out, arm, warn)
+        console.print(_table(arm.robot, fits, time.monotonic() - began))
         console.print(f'picture: {options.out}')
-        print(parameter_file(parameters, robot), end='')
+        print(parameter_file(arm.parameters, arm.robot, arm.start), end='')
     except PlannerError as error:
         print(f'show_robot: {error}', file=sys.stderr)
         return 2
     return 0
 
 
-def _parameters(
-    options: argparse.Namespace,
-) -> tuple[RobotParameters, dict[str, Mapping[str, Any]], Path | None]:
+def _described(options: argparse.Namespace, warn: Callable[[str], object]) -> Described:
     if options.params is not None:
-        parameters, capsules = read_robot_parameters(options.params)
-        changes = {key: value for key, value in (
-            ('urdf', options.urdf), ('tip_frame', options.tip), ('base_frame', options.base))
-            if value}
-        return replace(parameters, **changes), capsules, options.params.parent
+        return described_by_file(options.params, options.urdf, options.tip, options.base)
     if not options.urdf:
         raise PlannerError('give --urdf or --params')
-    text = read_text(resolve(options.urdf))
-    tip = options.tip or likely_tip(text)
-    parameters = RobotParameters(urdf=options.urdf, tip_frame=tip, base_frame=options.base)
-    slow = _without_speed(text, parameters)
-    return (replace(parameters, velocity_max=(1.0,)) if slow else parameters), {}, None
-
-
-def _without_speed(urdf: str, parameters: RobotParameters) -> bool:
-    """Return whether some chain joint has no velocity limit in the URDF."""
-    try:
-        Robot(urdf, parameters.tip_frame, base_frame=parameters.base_frame, capsules=[])
-    except RobotError as error:
-        if 'velocity_max' in str(error):
-            print(f'show_robot: {error}; 1.0 is taken', file=sys.stderr)
-            return True
-        raise
-    return False
-
-
-def _posture(robot: Robot, given: Sequence[float] | None) -> Array:
-    if given is not None:
-        return robot.checked_posture(given)
-    low = np.where(np.isfinite(robot.position_min), robot.position_min, 0.0)
-    high = np.where(np.isfinite(robot.position_max), robot.position_max, 0.0)
-    return np.clip(0.5 * (low + high), robot.position_min, robot.position_max)
+    return described_by_urdf(options.urdf, options.tip, options.base, warn)
 
 
 def _table(robot: Robot, fits: Sequence[Fit], seconds: float) -> Table:

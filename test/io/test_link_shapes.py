@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+import shutil
 import struct
 
 from conftest import EXAMPLE_ROBOTS, PANDA_URDF, planar_urdf
 from hypothesis import given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
+import yaml
 
-from redundant_planner.core.errors import RobotError
+from redundant_planner.core.errors import PlannerError, RobotError
 from redundant_planner.core.robot.capsule_fit import distances, Shape
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
+from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io import link_shapes
 from redundant_planner.io.collision_geometry import collision_elements, collision_pieces
 from redundant_planner.io.link_shapes import fitted_capsules
-from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.node_parameters import FakeHardwareParameters
+from redundant_planner.io.parameter_files import (
+    read_parameter_file,
+    read_robot_parameters,
+    RobotParameters,
+    settings_of,
+    urdf_text,
+)
+from redundant_planner.io.physics_parameters import MujocoHardwareParameters
+from redundant_planner.io.resources import resolve
 from redundant_planner.io.robot_files import build_robot, likely_tip, load_robot
 from redundant_planner.tools.show_robot import main as show_robot
 
@@ -307,3 +322,99 @@ def test_show_robot_says_in_a_line_what_it_cannot_read_or_write(
     (tmp_path / 'latin').write_bytes(b'<robot name="\xe9"/>')
     assert show_robot(options) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith('show_robot: ')
+
+
+@pytest.fixture
+def arm_beside_its_meshes(tmp_path, monkeypatch):
+    """A folder `robots` with a URDF and its meshes, and the working directory in it."""
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    robots = tmp_path / 'robots'
+    meshes = robots / 'my_arm' / 'meshes'
+    meshes.mkdir(parents=True)
+    source = EXAMPLE_ROBOTS / 'panda_description' / 'meshes' / 'collision' / 'link5.stl'
+    shutil.copy(source, meshes / 'link.stl')
+    monkeypatch.chdir(robots)
+    return robots
+
+
+@pytest.mark.parametrize(('urdf', 'mesh'), [
+    ('arm.urdf', 'my_arm/meshes/link.stl'),
+    ('../robots/arm.urdf', 'package://my_arm/meshes/link.stl'),
+    ('file://arm.urdf', 'package://robots/my_arm/meshes/link.stl'),
+    ('link.urdf', 'package://robots/my_arm/meshes/link.stl')])
+def test_a_relative_urdf_finds_its_meshes_and_its_file_works_anywhere(
+        arm_beside_its_meshes, monkeypatch, capsys, urdf, mesh):
+    robots = arm_beside_its_meshes
+    robot = arm_with(f'<mesh filename="{mesh}"/>')
+    (robots / 'arm.urdf').write_text(robot)
+    (robots.parent / 'elsewhere').mkdir()
+    (robots / 'link.urdf').symlink_to('arm.urdf')
+    assert show_robot(['--urdf', urdf, '--tip', 'tip', '--out', 'arm.svg']) == 0
+    captured = capsys.readouterr()
+    assert 'no meshes in the picture' not in captured.err
+    file = robots.parent / 'elsewhere' / 'arm.yaml'
+    file.write_text(captured.out)
+    monkeypatch.chdir(robots.parent / 'elsewhere')
+    parameters = read_robot_parameters(file)[0]
+    # As the nodes read it: from their working directory.
+    assert Path(parameters.urdf).is_absolute() and urdf_text(parameters) == robot
+    assert load_robot(file).n == 3
+    # Fitted anew where somebody has taken the capsules out.
+    bare = replace(parameters, capsules=())
+    assert len(build_robot(bare, urdf_text(bare), {}).capsules) >= 1
+
+
+def test_an_installed_package_counts_before_a_folder_of_its_name(tmp_path, monkeypatch):
+    """But the package that the URDF lies in counts before both."""
+    def file(*parts):
+        path = tmp_path.joinpath(*parts, 'mesh.stl')
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text('')
+        return path
+
+    beside, installed = file('ws', 'my_arm'), file('prefix', 'share', 'my_arm')
+    folder = tmp_path / 'ws' / 'robots'
+    folder.mkdir()
+    assert resolve('package://my_arm/mesh.stl', folder) == beside
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path / 'prefix'))
+    assert resolve('package://my_arm/mesh.stl', folder) == installed
+    assert resolve('package://my_arm/mesh.stl', beside.parent) == beside
+    installed.unlink()
+    assert resolve('package://my_arm/mesh.stl', folder) == beside
+    with pytest.raises(PlannerError, match=r"looked at '.*prefix/share/my_arm/no\.stl'"):
+        resolve('package://my_arm/no.stl', folder)
+
+
+def test_show_robot_writes_a_start_that_both_simulated_arms_take(tmp_path, capsys):
+    arguments = ['--urdf', str(PANDA_URDF), '--out', str(tmp_path / 'p.png')]
+    assert show_robot(arguments) == 0
+    file = tmp_path / 'panda.yaml'
+    file.write_text(capsys.readouterr().out)
+    values, robot = read_parameter_file(file), load_robot(file)
+    for kind in (FakeHardwareParameters, MujocoHardwareParameters):
+        simulated = settings_of(kind, values)
+        start = dict(zip(simulated.initial_joints, simulated.initial_positions))
+        arm = SimulatedArm(joint_ranges(robot.urdf), start, command_timeout=0.1)
+        q = arm.q[[arm.ranges.names.index(name) for name in robot.joint_names]]
+        np.testing.assert_array_equal(q, start_posture(robot))
+    # A start of the user's own is kept, and so is one on the command line.
+    file.write_text(file.read_text().replace('initial_positions: [', 'initial_positions: [0.25, ')
+                    .replace('initial_joints: [', 'initial_joints: [panda_finger_joint1, ')
+                    .replace('[0.25, ', '[0.02, '))
+    assert show_robot(['--params', str(file), *arguments[2:]]) == 0
+    kept = yaml.safe_load(capsys.readouterr().out)['/**']['ros__parameters']
+    assert kept['initial_positions'] == [0.02, *start.values()]
+    given = ['0', '-0.5', '0', '-2', '0', '1.5', '0.7']
+    assert show_robot([*arguments, '--posture', *given]) == 0
+    chosen = yaml.safe_load(capsys.readouterr().out)['/**']['ros__parameters']
+    assert chosen['initial_positions'] == [float(number) for number in given]
+
+
+def test_locked_joints_start_where_they_are_locked(tmp_path, capsys):
+    file = tmp_path / 'given.yaml'
+    file.write_text(f'/**: {{ros__parameters: {{urdf: {PANDA_URDF}, tip_frame: panda_hand, '
+                    'locked_joints: [panda_joint3], locked_positions: [0.2]}}')
+    assert show_robot(['--params', str(file), '--out', str(tmp_path / 'p.png')]) == 0
+    values = yaml.safe_load(capsys.readouterr().out)['/**']['ros__parameters']
+    start = dict(zip(values['initial_joints'], values['initial_positions']))
+    assert start['panda_joint3'] == 0.2 and len(start) == 7
