@@ -36,6 +36,7 @@ from redundant_planner.core.safety.limits import can_stop, slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.slow_down import FREE, SlowDown
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
+from redundant_planner.core.safety.way_out import LastWayOut
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.free_way import JointMotion
@@ -134,6 +135,7 @@ class Planner:
         self._way = Way(robot, parameters, limits, constants, gains)
         self._back = ComingBack(robot, constants)
         self._evasion = Evasion(robot, parameters)
+        self._way_out = LastWayOut(robot, constants, limits, parameters.singularity_margin)
         self._watch, self._slow_down = watch, slow_down
         drive = parameters.drive_lag, parameters.drive_dead_time
         if drive != (self._observer.lag, self._observer.dead_time):
@@ -176,6 +178,7 @@ class Planner:
         self._way.reset()
         self._back.reset()
         self._evasion.reset()
+        self._way_out.forget()
         self._watch.reset()
 
     def _at_rest(self) -> _LastTick:
@@ -267,13 +270,8 @@ class Planner:
             result = Filtered.untouched(desired.dq)
         if self._filtered and (joints is not None or not desired.admissible):
             result = self._filter(desired, start, joints)
-            reason = self._reason(result, desired, around, commanded, dt)
-        near = self._slow_down.limit(scene, arm)
-        slower = ''
-        if near is not FREE:
-            before, result = result, self._slow_down.slowed(
-                result, near, arm, last.dq, dt * self._limits.acceleration_max)
-            slower = str(near) if result is not before else ''
+            reason = self._reason(result, desired, around, start, commanded)
+        result, slower = self._slowed(result, scene, start)
         fallbacks = self._fallbacks(result, desired, path is None and joints is None, crowded)
         jerk_kept = self._mean.ticks >= self._ticks(dt)
         back = _BACK if goal is not None and target is None else ''
@@ -421,6 +419,15 @@ class Planner:
             may_slide=p.path_priority == 'slide' and joints is None and bool(
                 start.command.any()), dt=start.dt)
 
+    def _slowed(self, result: Filtered, scene: Scene, start: Start) -> tuple[Filtered, str]:
+        """Return a motion no faster than `slow_down` lets it be, and what is said of that."""
+        limit = self._slow_down.limit(scene, start.arm)
+        if limit is FREE:
+            return result, ''
+        slowed = self._slow_down.slowed(
+            result, limit, start.arm, start.previous, start.dt * self._limits.acceleration_max)
+        return slowed, '' if slowed is result else str(limit)
+
     def _followed(
         self, result: Filtered, desired: Wish, jacobian: Array, dt: float,
     ) -> tuple[Array, Pose]:
@@ -441,12 +448,14 @@ class Planner:
             task.reference, followed, self._constants.rows, self._constants.in_tool, dt)
 
     def _reason(
-        self, result: Filtered, desired: Wish, around: Surroundings, commanded: bool, dt: float,
+        self, result: Filtered, desired: Wish, around: Surroundings, start: Start,
+        commanded: bool,
     ) -> str:
         """Say what holds the arm back."""
-        change = np.abs(result.dq - self._last.dq) / (dt * self._limits.acceleration_max)
+        change = np.abs(result.dq - self._last.dq) / (start.dt * self._limits.acceleration_max)
         return reason_for(
-            result, desired.barriers, around, self.robot, change, commanded=commanded)
+            result, desired.barriers, around, self.robot, change, start.arm.q, self._way_out,
+            commanded=commanded)
 
     def _nearest(self, desired: Wish, around: Surroundings) -> Nearest | None:
         if desired.nearest_link < 0:

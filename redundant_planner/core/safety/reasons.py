@@ -16,16 +16,19 @@ from redundant_planner.core.safety.barriers import (
     SINGULARITY,
 )
 from redundant_planner.core.safety.stages import Filtered, Stage
+from redundant_planner.core.safety.way_out import LastWayOut
 
 Array = npt.NDArray[np.float64]
 
 # The drives' own way to speed up and to stop.
 _HARMLESS = (Stage.DESIRED, Stage.SCALED, Stage.BRAKING)
+# What is said of an arm that J's smallest singular value holds back; the second without a row.
+_SINGULAR = ('near a singularity', 'singular posture')
 
 
 def reason_for(
     result: Filtered, barriers: Barriers, around: Surroundings, robot: Robot,
-    largest_change: Array, *, commanded: bool,
+    largest_change: Array, q: Array, last_way_out: LastWayOut, *, commanded: bool,
 ) -> str:
     """Say what holds the arm back; empty where nothing but its drives does.
 
@@ -34,6 +37,8 @@ def reason_for(
         barriers, around: of the tick, and the obstacles that they are about.
         robot: the arm.
         largest_change: (n,) share of the acceleration limit that each joint used, 1 at most.
+        q: (n,) the posture.
+        last_way_out: which way leads out of a singularity.
         commanded: whether any motion is.
     """
     if (result.scale > 0.99 or not commanded) and result.stage in _HARMLESS:
@@ -43,16 +48,18 @@ def reason_for(
         return ''
     names = [f"joint '{robot.joint_names[i]}' at its limit" for i in at_limit]
     names += [_row_name(row, barriers, around, robot) for row in result.pairs.tolist()]
+    names = names or [_SINGULAR[1]]
     # A link may have several points near an obstacle.
-    named = ', '.join(dict.fromkeys(names))
-    return f'{result.stage.value}: {named or "singular posture"}'
+    named = ', '.join(name + last_way_out.words(q) if name in _SINGULAR else name
+                      for name in dict.fromkeys(names))
+    return f'{result.stage.value}: {named}'
 
 
 def _row_name(row: int, barriers: Barriers, around: Surroundings, robot: Robot) -> str:
     """Name a barrier as a sentence's part."""
     kind = int(barriers.kind[row])
     if kind == SINGULARITY:
-        return 'near a singularity'
+        return _SINGULAR[0]
     if kind == CONE:
         return 'the tip leans as far as cone.angle lets it'
     if kind == SELF_MOTION:
