@@ -61,6 +61,7 @@ setup(
             f'replay_bag = {PACKAGE}.tools.replay_bag:main',
             f'identify_delay = {PACKAGE}.tools.identify_delay:main',
             f'show_robot = {PACKAGE}.tools.show_robot:main',
+            f'quick_start = {PACKAGE}.tools.quick_start:main',
             f'demo = {PACKAGE}.tools.demo:main',
             f'reproduce_paper = {PACKAGE}.tools.reproduce_paper:main',
         ],

@@ -61,6 +61,11 @@ class FakeHardwareNode(EndableNode):
             runtime.request_priority(settings.thread_priority)
         self.get_logger().info(
             f'simulating {", ".join(self._arm.ranges.names)} at {settings.rate} Hz')
+        if not settings.initial_joints:
+            self.get_logger().info(
+                'every joint starts at 0, or at the limit nearest to it, where many arms are '
+                'singular and do not move: show_robot writes a better start (initial_joints and '
+                'initial_positions) into the parameter file')
 
     def _on_command(self, message: JointState) -> None:
         ranges = self._arm.ranges

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import ctypes
 from functools import partial
 import json
@@ -11,8 +11,10 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+from threading import Thread
 import time
 from types import TracebackType
+from typing import IO
 
 from redundant_planner.core.errors import PlannerError
 
@@ -32,11 +34,20 @@ class Processes:
         environment: of the children: their own ROS domain, on this machine only.
     """
 
-    def __init__(self, domain_id: int) -> None:
-        """Prepare for processes on a ROS domain."""
+    def __init__(
+        self, domain_id: int, hear: Callable[[str, str], object] | None = None,
+    ) -> None:
+        """Prepare for processes on a ROS domain.
+
+        Args:
+            domain_id: of the domain.
+            hear: takes a process's name and each line that it writes, on a thread per process;
+                they write to the terminal if None.
+        """
         self.environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_id),
                                 ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
         self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._hear = hear
 
     def __enter__(self) -> Processes:
         """Return itself; processes are started one by one."""
@@ -82,9 +93,15 @@ class Processes:
         command = [sys.executable, *program, *options, *ros_arguments(files, values, remap)]
         # A session of its own, so that Ctrl-C reaches us alone and the end is in our order;
         # and a death signal, so that nothing stays behind even if we are killed.
-        child = subprocess.Popen(command, env=self.environment, start_new_session=True,
-                                 preexec_fn=partial(die_with, os.getpid()))
-        self._children[name or f'{node} {len(self._children)}'] = child
+        heard = self._hear is not None
+        child = subprocess.Popen(
+            command, env=self.environment, start_new_session=True,
+            preexec_fn=partial(die_with, os.getpid()),
+            stdout=subprocess.PIPE if heard else None, stderr=subprocess.STDOUT if heard else None)
+        name = name or f'{node} {len(self._children)}'
+        self._children[name] = child
+        if self._hear is not None and child.stdout is not None:
+            Thread(target=_listen, args=(name, child.stdout, self._hear), daemon=True).start()
         return child
 
     def end(self, child: subprocess.Popen[bytes], patience: float) -> None:
@@ -104,6 +121,12 @@ class Processes:
         for node, child in self._children.items():
             if child.poll() not in (None, 0):
                 raise LiveError(f'{node} ended with exit status {child.returncode}')
+
+
+def _listen(name: str, output: IO[bytes], hear: Callable[[str, str], object]) -> None:
+    """Hand a process's lines on until it ends."""
+    for line in output:
+        hear(name, line.decode(errors='replace').rstrip('\n'))
 
 
 def ros_arguments(
