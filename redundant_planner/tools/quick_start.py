@@ -288,8 +288,9 @@ def main(args: list[str] | None = None) -> int:
         running = True
         say(f'\nReady after {time.monotonic() - began:.0f} s.\n{text}\n', 'bold')
 
-    # Ended politely, it cleans up as it does after Ctrl-C.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # Ended politely, it cleans up as it does after Ctrl-C, also where a shell has it ignore that.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     began, context = time.monotonic(), Context()
     try:
         domain = _domain()
