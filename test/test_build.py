@@ -18,7 +18,8 @@ SOURCE = Path(__file__).resolve().parent.parent
 IGNORED = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log',
                                  'demo_output')
 EXECUTABLES = ('planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
-               'depth_camera', 'mujoco_hardware_node', 'demo', 'reproduce_paper')
+               'depth_camera', 'mujoco_hardware_node', 'demo', 'reproduce_paper',
+               'quick_start', 'go_to', 'show_robot')
 
 
 def colcon(workspace: Path, *arguments: str) -> str:
@@ -45,6 +46,7 @@ def test_everything_lies_where_ros2_looks_for_it(workspace):
         assert os.access(prefix / 'lib' / 'redundant_planner' / name, os.X_OK), name
     share = prefix / 'share' / 'redundant_planner'
     for name in ('package.xml', 'launch/demo.launch.py', 'launch/camera.launch.py',
+                 'launch/two_arms.launch.py', 'config/planner/two_arms.yaml',
                  'config/robots/paper_2p5r.urdf', 'config/scenarios/panda_camera.yaml',
                  'config/middleware/large_clouds.xml',
                  'config/robots/panda.yaml', 'config/planner/default.yaml',

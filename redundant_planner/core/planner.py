@@ -83,8 +83,8 @@ class Planner:
     The same sequence of inputs gives the same sequence of outputs. Between ticks it remembers:
     the last tick (its velocity, the reference pose, how much of the path was followed), when the
     links were last measured against each other, the obstacles near the arm (`ObstacleWatch`),
-    the joint path ahead (`LookAhead`), the way to its target (`Way`) and the turn that
-    evades something (`Evasion`).
+    the joint path ahead (`LookAhead`), the way to its target (`Way`), the turn that evades
+    something (`Evasion`), and whether it has to come back from there (`ComingBack`).
     """
 
     def __init__(
@@ -280,14 +280,34 @@ class Planner:
             reasons = [*reasons, 'jerk gives way to a clearance']
 
         # Remember: where the tip should be, and how fast the arm is.
-        if joints is None:
-            followed, reached = self._followed(result, desired, arm.jacobian, dt)
-        else:
+        self._remember(result, desired, start, joints is not None, target is not None)
+        return StepResult(
+            self._last.sent.copy(), desired.least_norm, desired.homogeneous, desired.factor,
+            result.scale, result.stage, '; '.join(reasons), '; '.join(fallbacks),
+            desired.clearance_index, self._nearest(desired, around),
+            desired.manipulability, pose, desired.task.error, jerk_kept,
+            None if target is None else self._way.progress(target, arm))
+
+    def _remember(
+        self, result: Filtered, desired: Wish, start: Start, by_joints: bool, by_target: bool,
+    ) -> None:
+        """Note how a tick went.
+
+        Args:
+            result, desired, start: of the tick.
+            by_joints: whether the joints follow a way of theirs, rather than the tip its path.
+            by_target: whether a target commands.
+        """
+        arm, last, dt = start.arm, self._last, start.dt
+        if by_joints:
             followed, reached = arm.jacobian @ result.dq, None
             self._way.went_on(result, dt)
+        else:
+            followed, reached = self._followed(result, desired, arm.jacobian, dt)
         leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
-        if target is None and self._back.note(
-                last.reference or pose, pose, followed, dt, leaving=leaving,
+        tip = Pose(arm.tip_position, arm.tip_rotation)
+        if not by_target and self._back.note(
+                last.reference or tip, tip, followed, dt, leaving=leaving,
                 lost=bool(self._way.lacks)):
             reached = None
         sent = self._mean.take(result.dq)
@@ -295,12 +315,6 @@ class Planner:
         self._last = _LastTick(
             result.dq, sent, last.sent, reached, followed, leaving,
             _RUSH if result.stage is Stage.FORCED and desired.intruded else last.rush - dt)
-        return StepResult(
-            sent.copy(), desired.least_norm, desired.homogeneous, desired.factor,
-            result.scale, result.stage, '; '.join(reasons), '; '.join(fallbacks),
-            desired.clearance_index, self._nearest(desired, around),
-            desired.manipulability, pose, desired.task.error, jerk_kept,
-            None if target is None else self._way.progress(target, arm))
 
     def braked(self, dq: Array, dt: float) -> None:
         """Note that something else than the last step's velocity was commanded, to stop the arm.
