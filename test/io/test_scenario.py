@@ -188,9 +188,12 @@ def test_locations(tmp_path):
 
 def test_planner_files_name_only_parameters_that_exist():
     for path in (share_directory() / 'config' / 'planner').glob('*.yaml'):
-        values = read_parameter_file(path)
-        assert set(values) <= set(known_parameters()), path
-        settings_of(PlannerParameters, values)
+        # One section for all nodes, or one for each arm's.
+        for name, section in yaml.safe_load(path.read_text()).items():
+            values = parameter_values({'/**': section}, f'{path}: {name}')
+            assert set(values) <= set(known_parameters()), path
+            settings_of(PlannerParameters, values)
+            static_obstacles(values)
 
 
 def test_names_of_version_0_1_0_are_refused_with_the_new_ones(tmp_path):
