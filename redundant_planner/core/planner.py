@@ -271,11 +271,14 @@ class Planner:
         if self._filtered and (joints is not None or not desired.admissible):
             result = self._filter(desired, start, joints)
             reason = self._reason(result, desired, around, start, commanded)
-        result, slower = self._slowed(result, scene, start)
+        slower = ''
+        if self._parameters.slow_down:
+            result, slower = self._slowed(result, scene, start)
         fallbacks = self._fallbacks(result, desired, path is None and joints is None, crowded)
         jerk_kept = self._mean.ticks >= self._ticks(dt)
         back = _BACK if goal is not None and target is None else ''
-        reasons = [text for text in (*fallbacks, back, self._way.lacks, slower, reason) if text]
+        lacks = '' if goal is None else self._way.lacks
+        reasons = [text for text in (*fallbacks, back, lacks, slower, reason) if text]
         if not jerk_kept:
             reasons = [*reasons, 'jerk gives way to a clearance']
 
@@ -305,11 +308,11 @@ class Planner:
         else:
             followed, reached = self._followed(result, desired, arm.jacobian, dt)
         leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
-        tip = Pose(arm.tip_position, arm.tip_rotation)
-        if not by_target and self._back.note(
-                last.reference or tip, tip, followed, dt, leaving=leaving,
-                lost=bool(self._way.lacks)):
-            reached = None
+        if not by_target and (leaving or self._back.is_away):
+            tip = Pose(arm.tip_position, arm.tip_rotation)
+            if self._back.note(last.reference or tip, tip, followed, dt, leaving=leaving,
+                               lost=bool(self._way.lacks)):
+                reached = None
         sent = self._mean.take(result.dq)
         self._observer.commanded(sent, dt)
         self._last = _LastTick(

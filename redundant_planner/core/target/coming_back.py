@@ -37,6 +37,11 @@ class ComingBack:
         self._waited = 0.0
 
     @property
+    def is_away(self) -> bool:
+        """Whether the arm has left its path, and is not back yet."""
+        return self._home is not None
+
+    @property
     def target(self) -> Pose | None:
         """Where a free way shall lead; None where the tip gets back by itself, or is there."""
         return self._home if self._goes else None
