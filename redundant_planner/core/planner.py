@@ -34,7 +34,7 @@ from redundant_planner.core.safety.barriers import without_null_space
 from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, window_of
 from redundant_planner.core.safety.limits import can_stop, slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
-from redundant_planner.core.safety.slow_down import FREE, SlowDown
+from redundant_planner.core.safety.slow_down import SlowDown
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
 from redundant_planner.core.safety.way_out import LastWayOut
 from redundant_planner.core.step_result import Nearest, StepResult
@@ -271,9 +271,8 @@ class Planner:
         if self._filtered and (joints is not None or not desired.admissible):
             result = self._filter(desired, start, joints)
             reason = self._reason(result, desired, around, start, commanded)
-        slower = ''
-        if self._parameters.slow_down:
-            result, slower = self._slowed(result, scene, start)
+        result, slower = self._slow_down.slowed(
+            result, scene, arm, start.previous, dt * self._limits.acceleration_max)
         fallbacks = self._fallbacks(result, desired, path is None and joints is None, crowded)
         jerk_kept = self._mean.ticks >= self._ticks(dt)
         back = _BACK if goal is not None and target is None else ''
@@ -308,6 +307,8 @@ class Planner:
         else:
             followed, reached = self._followed(result, desired, arm.jacobian, dt)
         leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
+        if result.stage is Stage.SLIDING:  # as commanded, which no free way back overrules
+            self._back.reset()
         if not by_target and (leaving or self._back.is_away):
             tip = Pose(arm.tip_position, arm.tip_rotation)
             if self._back.note(last.reference or tip, tip, followed, dt, leaving=leaving,
@@ -435,15 +436,6 @@ class Planner:
             may_yield=desired.intruded and p.path_priority != 'strict',
             may_slide=p.path_priority == 'slide' and joints is None and bool(
                 start.command.any()), dt=start.dt)
-
-    def _slowed(self, result: Filtered, scene: Scene, start: Start) -> tuple[Filtered, str]:
-        """Return a motion no faster than `slow_down` lets it be, and what is said of that."""
-        limit = self._slow_down.limit(scene, start.arm)
-        if limit is FREE:
-            return result, ''
-        slowed = self._slow_down.slowed(
-            result, limit, start.arm, start.previous, start.dt * self._limits.acceleration_max)
-        return slowed, '' if slowed is result else str(limit)
 
     def _followed(
         self, result: Filtered, desired: Wish, jacobian: Array, dt: float,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pinocchio as pin
 
 from redundant_planner.core.errors import ParameterError
+from redundant_planner.io.poses import pose_of
 
 # What the joint between both is called, so that nothing is mounted twice.
 _JOINT = 'mount_of_{}'
@@ -28,17 +29,11 @@ def mounted(urdf: str, frame: str, pose: Sequence[float]) -> str:
     """
     if not frame:
         return urdf
-    numbers = [float(number) for number in pose] or [0.0] * 6
-    if len(numbers) not in (3, 6, 7):
-        raise ParameterError(
-            f"parameter 'mount_pose' has {len(numbers)} numbers; it takes x y z, and nothing, "
-            'roll pitch yaw, or a quaternion x y z w')
-    rpy = np.array(numbers[3:] or np.zeros(3))
-    if len(rpy) == 4:
-        if not abs(np.linalg.norm(rpy) - 1.0) < 0.01:
-            raise ParameterError(f"parameter 'mount_pose' has the quaternion {rpy.tolist()}; its "
-                                 'length must be 1')
-        rpy = np.asarray(pin.rpy.matrixToRpy(pin.Quaternion(rpy).toRotationMatrix()))
+    place, turned = pose_of("parameter 'mount_pose'", pose if len(pose) else np.zeros(3))
+    if not abs(np.linalg.norm(turned) - 1.0) < 0.01:
+        raise ParameterError(f"parameter 'mount_pose' has the quaternion {turned.tolist()}; its "
+                             'length must be 1')
+    rpy = pin.rpy.matrixToRpy(pin.Quaternion(turned).normalized().toRotationMatrix())
     try:
         tree = ET.fromstring(urdf)
     except ET.ParseError:
@@ -56,9 +51,9 @@ def mounted(urdf: str, frame: str, pose: Sequence[float]) -> str:
         added = ET.SubElement(tree, 'joint', name=joint, type='fixed')
         ET.SubElement(added, 'parent', link=frame)
         ET.SubElement(added, 'child', link=root)
-        ET.SubElement(added, 'origin', xyz=_text(numbers[:3]), rpy=_text(rpy.tolist()))
+        ET.SubElement(added, 'origin', xyz=_text(place), rpy=_text(rpy))
     return ET.tostring(tree, encoding='unicode')
 
 
-def _text(numbers: Sequence[float]) -> str:
+def _text(numbers: Iterable[float]) -> str:
     return ' '.join(repr(float(number)) for number in numbers)

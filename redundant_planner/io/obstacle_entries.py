@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-import math
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,12 @@ from redundant_planner.core.errors import known, ObstacleError, ParameterError, 
 from redundant_planner.core.numbers import floats_of
 from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, ELLIPSOID, Obstacle
 from redundant_planner.io.parameter_files import check_keys, entries_of
+from redundant_planner.io.poses import pose_of
 
 Array = npt.NDArray[np.float64]
 
-# The keys of a static obstacle, and how many numbers they take.
+# What the shape of a static obstacle may be.
 SHAPES = (ELLIPSOID, BOX, CYLINDER, CAPSULE)
-POSE_SIZES = (3, 6, 7)
 # How far the two widths of what is round may differ [m].
 _ROUND = 1e-9
 
@@ -52,7 +51,7 @@ def obstacle_of(name: str, entry: Mapping[str, Any]) -> Obstacle:
         if key in numbers}
     center = numbers.get('center', np.zeros(3))
     if 'pose' in entry:
-        center, place['orientation'] = _pose(name, numbers['pose'])
+        center, place['orientation'] = pose_of(f"obstacle '{name}': pose", numbers['pose'])
     if 'semi_axes' in numbers:
         return Obstacle(name, center, numbers['semi_axes'], **place)
     return _of_size(name, shape, numbers['size'], center, place)
@@ -86,21 +85,6 @@ def _numbers(name: str, key: str, given: Any) -> Array:
         raise ObstacleError(f"obstacle '{name}': {key} is {shown(given)}; it takes a list of "
                             'numbers')
     return numbers
-
-
-def _pose(name: str, numbers: Array) -> tuple[Array, Array]:
-    """Return position (3,) and quaternion (4,) x y z w of a pose in any of its forms."""
-    if len(numbers) not in POSE_SIZES or not np.isfinite(numbers).all():
-        raise ObstacleError(
-            f"obstacle '{name}': pose is {numbers.tolist()}; it takes x y z [m], and after them "
-            'nothing, roll pitch yaw [rad] or a quaternion x y z w')
-    if len(numbers) == 7:
-        return numbers[:3], numbers[3:]
-    import pinocchio as pin  # which nodes that only read obstacles mostly do without
-    roll, pitch, yaw = numbers[3:].tolist() if len(numbers) == 6 else (0.0, 0.0, 0.0)
-    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*(
-        math.remainder(angle, 2.0 * math.pi) for angle in (roll, pitch, yaw))))
-    return numbers[:3], np.array(turned.coeffs())
 
 
 def static_obstacles(values: Mapping[str, Any]) -> list[Obstacle]:

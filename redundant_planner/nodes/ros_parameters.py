@@ -25,10 +25,10 @@ from redundant_planner.io.node_parameters import (
     PlannerNodeParameters,
     PlayerParameters,
 )
-from redundant_planner.io.obstacle_entries import POSE_SIZES
 from redundant_planner.io.parameter_files import RobotParameters, SETTINGS
 from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
+from redundant_planner.io.poses import POSE_SIZES
 from redundant_planner.io.renamed_parameters import what_became_of
 from redundant_planner.nodes.disputed_parameters import disputed
 from redundant_planner.nodes.rclpy_internals import given_parameters

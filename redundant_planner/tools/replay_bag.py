@@ -128,7 +128,7 @@ def _rows(
             for _, raw in inputs.obstacles[topic][applied[topic]:read]:
                 book.update(raw, previous, topic)
             applied[topic] = max(applied[topic], read)
-        counts = [count for count, _ in tick.more_messages]
+        counts = [number for number, _ in tick.more_messages]
         for _, raw in inputs.attached[held:tick.attached_messages]:
             payload.tracker.update(raw, previous)
         held = max(held, tick.attached_messages)

@@ -42,7 +42,8 @@ def test_what_is_mounted_stays_as_it_is():
     assert mounted(urdf, 'cell', POSE) == urdf
     with pytest.raises(ParameterError, match="'mount_frame' is 'panda_link0', a link of the URDF"):
         mounted(urdf, 'panda_link0', POSE)
-    for pose, what in (((1.0, 2.0), 'has 2 numbers'), ((0, 0, 0, 0, 0, 0, 2), 'length must be 1')):
+    for pose, what in (((1.0, 2.0), r'is \[1\.0, 2\.0\]'), (
+            (0, 0, 0, 0, 0, 0, 2), 'length must be 1')):
         with pytest.raises(ParameterError, match=what):
             mounted(PANDA_URDF.read_text(), 'cell', pose)
     with pytest.raises(RobotError):

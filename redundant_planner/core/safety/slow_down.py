@@ -42,7 +42,7 @@ class Separation(NamedTuple):
     time: float
 
 
-class Slowed(NamedTuple):
+class _Limit(NamedTuple):
     """How fast the arm may be.
 
     Attributes:
@@ -61,7 +61,7 @@ class Slowed(NamedTuple):
                 f'{self.distance:.2f} m')
 
 
-FREE = Slowed(np.inf, '', np.inf)
+_NONE = _Limit(np.inf, '', np.inf)
 
 
 def separations_of(entries: Sequence[str]) -> tuple[Separation, ...]:
@@ -96,16 +96,46 @@ class SlowDown:
         self._radii = [capsule.radius for capsule in robot.capsules]
         self._known: tuple[Scene, list[tuple[Separation, Scene, InflatedObstacles]]] | None = None
 
-    def limit(self, scene: Scene, arm: Kinematics) -> Slowed:
-        """Return how fast the arm may be."""
-        slowest = FREE
+    def slowed(
+        self, result: Filtered, scene: Scene, arm: Kinematics, previous: Array, change: Array,
+    ) -> tuple[Filtered, str]:
+        """Return a tick's motion no faster than it may be, as far as the drives can brake.
+
+        All joints slow down alike, and the path is kept.
+
+        Args:
+            result: of the safety filter.
+            scene: the obstacles.
+            arm: the posture.
+            previous: (n,) velocities of the last tick.
+            change: (n,) by how much they can change in a tick.
+
+        Returns:
+            The motion, and a phrase about what slows it down; empty where nothing does.
+        """
+        limit = self._limit(scene, arm)
+        if limit is _NONE or result.stage in (Stage.YIELDING, Stage.FORCED):
+            return result, ''
+        speed = self._fastest(arm, result.dq)
+        if speed <= limit.speed:
+            return result, ''
+        dq = result.dq
+        moving = np.abs(dq) > _SLOW
+        least = (previous - np.sign(dq) * change)[moving] / dq[moving]
+        share = min(max(limit.speed / speed, float(least.max(initial=0.0))), 1.0)
+        return result._replace(
+            dq=share * dq, scale=share * result.scale, residual=share * result.residual,
+            stage=Stage.SCALED if result.stage is Stage.DESIRED else result.stage), str(limit)
+
+    def _limit(self, scene: Scene, arm: Kinematics) -> _Limit:
+        slowest = _NONE
         for separation, part, maps in self._parts(scene):
             apart = link_clearance(maps, arm.segment_start, arm.segment_end).distance.min(axis=0)
             speeds = np.maximum(
                 (apart - separation.distance) / separation.time - part.speeds, 0.0)
             i = int(speeds.argmin())
             if speeds[i] < slowest.speed:
-                slowest = Slowed(float(speeds[i]), part.names[i], float(apart[i]))
+                slowest = _Limit(float(speeds[i]), part.names[i], float(apart[i]))
         return slowest
 
     def _parts(self, scene: Scene) -> list[tuple[Separation, Scene, InflatedObstacles]]:
@@ -118,32 +148,6 @@ class SlowDown:
             self._known = scene, [(separation, part, inflated_obstacles(part, self._radii))
                                   for separation, part in parts if part.names]
         return self._known[1]
-
-    def slowed(
-        self, result: Filtered, limit: Slowed, arm: Kinematics, previous: Array,
-        change: Array,
-    ) -> Filtered:
-        """Return a tick's motion no faster than it may be, as far as the drives can brake.
-
-        All joints slow down alike, and the path is kept.
-
-        Args:
-            result: of the safety filter.
-            limit: how fast.
-            arm: the posture.
-            previous: (n,) velocities of the last tick.
-            change: (n,) by how much they can change in a tick.
-        """
-        speed = self._fastest(arm, result.dq)
-        if speed <= limit.speed or result.stage in (Stage.YIELDING, Stage.FORCED):
-            return result
-        dq = result.dq
-        moving = np.abs(dq) > _SLOW
-        least = (previous - np.sign(dq) * change)[moving] / dq[moving]
-        share = min(max(limit.speed / speed, float(least.max(initial=0.0))), 1.0)
-        return result._replace(
-            dq=share * dq, scale=share * result.scale, residual=share * result.residual,
-            stage=Stage.SCALED if result.stage is Stage.DESIRED else result.stage)
 
     def _fastest(self, arm: Kinematics, dq: Array) -> float:
         """Return how fast the tip or an end of a link moves, at most [m/s]."""

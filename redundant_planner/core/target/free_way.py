@@ -250,7 +250,8 @@ class FreeWay:
         """Begin a search."""
         assert self._target is not None
         self._space, self._look_age, self._found = space, 0.0, None
-        self._search = PathSearch(space, self._rest, self._target)
+        self._search = PathSearch(
+            space, self._rest, self._target, gives_way=self._gives_way)
         self._thought = self._thoughts(space)
 
     def _go_on_thinking(self, start: Start, space: Callable[[], FreeSpace]) -> None:

@@ -59,19 +59,22 @@ class PathSearch:
         aside: whether the way leads out of the way of others, and not to a goal.
     """
 
-    def __init__(self, space: FreeSpace, start: Array, target: Target) -> None:
+    def __init__(
+        self, space: FreeSpace, start: Array, target: Target, *, gives_way: bool,
+    ) -> None:
         """Prepare.
 
         Args:
             space: where the arm may be.
             start: (n,) where the way begins.
             target: where it ends.
+            gives_way: whether it looks around for `step_aside` while there is no goal.
         """
         self.way: Way | None = None
         self.room = self._price = np.inf
         self.straight, self.rounds, self.out_of_reach, self.aside = False, 0, False, False
         self._tree: _Tree | None = None  # the latest one that begins at the start
-        self._space, self._start = space, space.begin_at(start)
+        self._space, self._start, self._gives_way = space, space.begin_at(start), gives_way
         self._goals: list[Place] = []
         self._random = np.random.default_rng(0)
         self._postures = (
@@ -137,12 +140,14 @@ class PathSearch:
         self.out_of_reach = not self._reached and self._guesses >= _GUESSES_OUT_OF_REACH
 
     def _explored(self) -> Generator[None, None, None]:
-        """Look around where there is no goal yet: for `step_aside`."""
+        """Look around where there is no goal yet, if the arm gives way."""
+        yield
+        if not self._gives_way:
+            return
         if self._tree is None:
             self._tree = _Tree(self._space, [self._start])
         for _ in range(_LOOKS_AROUND if len(self._tree.places) < _FEWEST_NODES else 0):
             yield from self._tree.grow(self._random.uniform(*self._ranges), _ROOMS[-1])
-        yield
 
     def _note(self, way: Way, room: float) -> None:
         """Keep a way with some room if it is the best."""
@@ -153,7 +158,7 @@ class PathSearch:
             self._price, self.room = price, room
             nearest = min(self._space.distance(self._start.q, goal.q) for goal in self._goals)
             self.straight = len(way) == 2 and bool(self.length(way) <= _AS_GOOD * nearest)
-            self.way = way
+            self.way, self.aside = way, False
 
     def _connected(
         self, needed: float, most_nodes: int,

@@ -102,6 +102,21 @@ def test_it_passes_a_ball_and_stays_beside_its_first_line():
     assert max(np.abs(r.path_error[:3]).max() for r in run.results) < 1e-4
 
 
+def test_a_command_along_what_drove_it_off_its_path_counts_more_than_the_way_back():
+    def table(height, speed=0.0):
+        return Scene.of([Obstacle.box('table', TABLE.center + (0.0, 0.0, height), (0.6, 1.6, 0.2),
+                                      velocity=(0.0, 0.0, speed))])
+    run = Run([], path_priority='slide')
+    for i in range(round(2.0 / DT)):
+        run.scene = table(0.05 * i * DT, 0.05)
+        run.go(np.zeros(6), DT)
+    assert Stage.YIELDING in run.stages and np.linalg.norm(run.moved) > 0.1
+    run.scene, before = table(0.1), run.moved
+    run.go((0.0, 0.08, -0.06, 0.0, 0.0, 0.0), 1.0)
+    assert run.stages[-1] is Stage.SLIDING and (run.moved - before)[1] > 0.9 * 0.08
+    run.assert_safe()
+
+
 def test_far_from_everything_it_is_as_without():
     twist = (0.05, -0.08, 0.04, 0.0, 0.1, 0.0)
     runs = [Run([], path_priority=p).go(twist, 1.0) for p in ('yield', 'slide')]

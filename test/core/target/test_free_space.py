@@ -102,7 +102,7 @@ def test_a_search_ends_at_the_pose_and_its_way_is_free(parameters):
     start = PANDA_READY + np.array([0.8, 0.4, 0.0, 0.0, 0.0, 0.4, 0.0])
     goal = start * (-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     pose = tip(PANDA, goal)
-    search = PathSearch(space, start, pose)
+    search = PathSearch(space, start, pose, gives_way=True)
     work = search.work()
     while search.rounds < 2:
         next(work)
@@ -123,7 +123,7 @@ def test_a_search_ends_at_the_pose_and_its_way_is_free(parameters):
 def test_out_of_reach_is_known_after_a_while():
     space = space_among([])
     far = se3.displaced(tip(PANDA, PANDA_READY), np.array([1.5, 0.0, 0.0, 0.0, 0.0, 0.0]), False)
-    search = PathSearch(space, PANDA_READY, far)
+    search = PathSearch(space, PANDA_READY, far, gives_way=False)
     work = search.work()
     for _ in range(3000):
         next(work)
