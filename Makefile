@@ -1,4 +1,5 @@
-# Two commands do everything: `make demo` and `make test`. Both set up $(VENV) first.
+# Two commands do everything: `make demo` and `make test`. Both set up $(VENV) first. `make play`
+# opens the playground.
 # `make docs` builds the pages and the API reference into build/docs/index.html.
 PYTHON ?= python3
 VENV ?= .venv
@@ -6,10 +7,13 @@ PIP_INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-ch
 # So that no node has to, the first time it starts.
 COMPILE = $(VENV)/bin/python -m redundant_planner.compile
 
-.PHONY: demo test lint docs clean
+.PHONY: demo play test lint docs clean
 
 demo: $(VENV)/.demo-ready
 	$(VENV)/bin/demo --out demo_output
+
+play: $(VENV)/.play-ready
+	$(VENV)/bin/playground
 
 test: $(VENV)/.test-ready lint
 	$(VENV)/bin/python test/side_by_side.py
@@ -31,10 +35,15 @@ $(VENV)/.demo-ready: setup.py setup.cfg | $(VENV)/bin/python
 	$(COMPILE)
 	touch $@
 
+$(VENV)/.play-ready: setup.py setup.cfg | $(VENV)/bin/python
+	$(PIP_INSTALL) --editable '.[jazzy,viewer]'
+	$(COMPILE)
+	touch $@
+
 $(VENV)/.test-ready: setup.py setup.cfg | $(VENV)/bin/python
 	$(PIP_INSTALL) --editable '.[jazzy,analysis,test]'
 	$(COMPILE)
-	touch $@ $(VENV)/.demo-ready
+	touch $@ $(VENV)/.demo-ready $(VENV)/.play-ready
 
 $(VENV)/.docs-ready: setup.py setup.cfg | $(VENV)/bin/python
 	$(PIP_INSTALL) --editable '.[docs]'

@@ -12,6 +12,8 @@ JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'plotly>=5.15', 'rich>=13']
 # mujoco_hardware_node: an arm with mass (MuJoCo is Apache-2.0), matplotlib for its films.
 MUJOCO = ['mujoco>=3.2', 'matplotlib>=3.6']
+# playground: the page (viser is MIT), the Panda it begins with, and its bags' reports.
+VIEWER = ['viser>=1.1,<2', 'example-robot-data', *ANALYSIS]
 # For `python -m benchmark.…` alone: what is compared with, and the optimum.
 BENCHMARK = ['casadi', 'mink', 'pin-pink']
 # `make docs`; furo is the theme (MIT), myst-parser reads Markdown (MIT).
@@ -21,14 +23,14 @@ BROWSER = ['PySide6-WebEngine']
 TEST = [
     'colcon-bash', 'colcon-core', 'colcon-package-information', 'colcon-python-setup-py',
     'colcon-ros', 'example-robot-data', 'hypothesis', 'mypy', 'pytest', 'pytest-rerunfailures',
-    'ruff', 'types-PyYAML', *MUJOCO,
+    'ruff', 'types-PyYAML', *MUJOCO, *VIEWER,
 ]
 
 setup(
     name=PACKAGE,
     version='0.1.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={PACKAGE: ['py.typed']},
+    package_data={PACKAGE: ['py.typed', 'playground/page.js']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (SHARE, ['package.xml']),
@@ -41,7 +43,8 @@ setup(
     install_requires=['setuptools', 'numpy>=1.26', 'numba>=0.59', 'scipy>=1.8', 'pin>=3',
                       'daqp>=0.5', 'PyYAML>=6'],
     extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'benchmark': BENCHMARK, 'test': TEST,
-                    'browser': BROWSER, 'docs': DOCS, 'mujoco': MUJOCO},
+                    'browser': BROWSER, 'docs': DOCS, 'mujoco': MUJOCO,
+                    'viewer': VIEWER},
     zip_safe=False,
     maintainer='redundant_planner developers',
     maintainer_email='maintainers@example.com',
@@ -63,6 +66,7 @@ setup(
             f'show_robot = {PACKAGE}.tools.show_robot:main',
             f'quick_start = {PACKAGE}.tools.quick_start:main',
             f'demo = {PACKAGE}.tools.demo:main',
+            f'playground = {PACKAGE}.tools.playground:main',
             f'reproduce_paper = {PACKAGE}.tools.reproduce_paper:main',
         ],
     },

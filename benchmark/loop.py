@@ -39,12 +39,11 @@ from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.resources import share_directory
+from redundant_planner.io.resources import panda_urdf, share_directory
 from redundant_planner.io.robot_files import load_robot
+from redundant_planner.nodes.child_processes import cpu_seconds, Processes
 from redundant_planner.nodes.messages import markers_of, twist_to_message
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
-from redundant_planner.tools.child_processes import cpu_seconds, Processes
-from redundant_planner.tools.reproduce_paper import panda_urdf
 
 Array = npt.NDArray[np.float64]
 

@@ -36,12 +36,12 @@ from redundant_planner.analysis.metrics import distance_to_path
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.resources import share_directory
+from redundant_planner.io.resources import panda_urdf, share_directory
 from redundant_planner.nodes import messages, physics_report
+from redundant_planner.nodes.child_processes import LiveError, Processes
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.runtime import keep_off_shared_memory
-from redundant_planner.tools.child_processes import LiveError, Processes
-from redundant_planner.tools.reproduce_paper import find_panda, panda_urdf
+from redundant_planner.tools.reproduce_paper import find_panda
 
 Array = npt.NDArray[np.float64]
 

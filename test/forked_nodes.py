@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 
-from redundant_planner.tools.child_processes import die_with, Processes, ros_arguments
+from redundant_planner.nodes.child_processes import die_with, Processes, ros_arguments
 
 FORKS = get_context('forkserver')
 FORKS.set_forkserver_preload([

@@ -15,7 +15,7 @@ from benchmark.problem_sets.servo import LONGEST, peer_step, planner_step, servo
 from benchmark.scenarios import make_robot, METHODS as SCENARIO_METHODS, PEERS, UNFILTERED
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.tools.reproduce_paper import panda_urdf
+from redundant_planner.io.resources import panda_urdf
 
 # What is commanded depends on where the arm is, so nothing is known ahead.
 METHODS = {'variational': SCENARIO_METHODS['variational_held'], **{

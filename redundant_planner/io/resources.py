@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 import sys
+import sysconfig
 from typing import Any
 
 import yaml
@@ -14,6 +15,12 @@ from redundant_planner.core.errors import known, PlannerError, shown
 PACKAGE = 'redundant_planner'
 # A larger file is neither a URDF nor made of parameters [bytes].
 _LARGEST_FILE = 20_000_000
+_PANDA_URDFS = (
+    'package://moveit_resources_panda_description/urdf/panda.urdf',
+    # Where pip puts example-robot-data.
+    f'{sysconfig.get_paths()["purelib"]}/cmeel.prefix/share/example-robot-data/robots/'
+    'panda_description/urdf/panda.urdf',
+)
 
 
 def share_directory() -> Path:
@@ -132,3 +139,13 @@ def _package_share(package: str) -> Path:
             return share
     raise PlannerError(f"package '{package}' is not installed; looked below {known(prefixes)} "
                        '(AMENT_PREFIX_PATH); source its workspace or give a file path')
+
+
+def panda_urdf() -> Path | None:
+    """Return the first URDF of a Panda that this machine has."""
+    for location in _PANDA_URDFS:
+        try:
+            return resolve(location)
+        except PlannerError:
+            continue
+    return None

@@ -22,12 +22,11 @@ from redundant_planner.core.errors import PlannerError, RobotError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.recording import JointLog, read_recording, Recording
-from redundant_planner.io.resources import resolve
+from redundant_planner.io.resources import panda_urdf, resolve
 from redundant_planner.io.scenario import load_scenario, Scenario
 from redundant_planner.nodes.physics_report import CONTACTS, TORQUE_JOINT, TORQUE_SHARE
 from redundant_planner.physics import require_mujoco
 from redundant_planner.tools.live_run import LiveRun, play
-from redundant_planner.tools.reproduce_paper import panda_urdf
 
 Array = npt.NDArray[np.float64]
 

@@ -29,6 +29,7 @@ _STEPS = ('cmd_vel,\njoint_states,\nobstacles', 'nodes, io:\nread the bytes',
           'joint_command')
 _HOLDS = {
     'tools': 'one command per file',
+    'playground': 'a page to try it (viser)',
     'nodes': 'topics, clocks, pauses (rclpy)',
     'paper': "the paper's experiment",
     'analysis': 'measures, figures, report',
@@ -46,7 +47,7 @@ _HOLDS = {
 }
 # Left and lower edge of each room's box. A room may import those that stand lower.
 _PLACES = {
-    'tools': (1.5, 6.9), 'nodes': (0.15, 6.0), 'paper': (2.85, 5.6),
+    'tools': (1.9, 7.15), 'playground': (0.6, 6.75), 'nodes': (0.15, 6.0), 'paper': (2.85, 5.6),
     'analysis': (1.5, 5.1), 'perception': (0.15, 5.1),
     'physics': (2.85, 4.85), 'simulation.py': (2.0, 4.2), 'io': (0.85, 4.2),
     'core': (1.5, 3.0), 'core/target': (0.1, 2.7), 'core/horizon': (0.85, 2.1),

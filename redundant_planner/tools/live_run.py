@@ -26,10 +26,10 @@ from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.scenario import Scenario
 from redundant_planner.nodes import physics_report
+from redundant_planner.nodes.child_processes import cpu_seconds, LiveError, Processes
 from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.runtime import keep_off_shared_memory
-from redundant_planner.tools.child_processes import cpu_seconds, LiveError, Processes
 
 _TOPICS = {
     'joint_states': (JointState, 'sensor_msgs/msg/JointState'),

@@ -27,8 +27,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from redundant_planner.core.errors import known, PlannerError
+from redundant_planner.nodes.child_processes import LiveError, Processes
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
-from redundant_planner.tools.child_processes import LiveError, Processes
 from redundant_planner.tools.show_robot import (
     Arm,
     arm_of,

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import json
 from pathlib import Path
 import sys
-import sysconfig
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from rich.table import Table
 from redundant_planner.analysis.figures import joint_curves, three_views
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.resources import resolve, share_directory
+from redundant_planner.io.resources import panda_urdf, resolve, share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.io.scenario import Scenario
 from redundant_planner.paper import experiment
@@ -27,22 +26,6 @@ _TITLES = {
     'gradient_projection': 'traditional', 'dynamic_factor': "the paper's",
     'corrected': 'corrected', 'gradient_projection_links': 'traditional, links clear',
 }
-_PANDA_URDFS = (
-    'package://moveit_resources_panda_description/urdf/panda.urdf',
-    # Where pip puts example-robot-data.
-    f'{sysconfig.get_paths()["purelib"]}/cmeel.prefix/share/example-robot-data/robots/'
-    'panda_description/urdf/panda.urdf',
-)
-
-
-def panda_urdf() -> Path | None:
-    """Return the first URDF of a Panda that this machine has."""
-    for location in _PANDA_URDFS:
-        try:
-            return resolve(location)
-        except PlannerError:
-            continue
-    return None
 
 
 def find_panda(given: str | None) -> Robot | None:

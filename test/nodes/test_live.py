@@ -21,8 +21,8 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.io.recording import read_recording
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.scenario import load_scenario
+from redundant_planner.nodes.child_processes import Processes
 from redundant_planner.nodes.messages import markers_of
-from redundant_planner.tools.child_processes import Processes
 from redundant_planner.tools.demo import summarise
 
 pytestmark = LIVE

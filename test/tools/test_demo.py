@@ -5,32 +5,19 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 import os
-from pathlib import Path
 import signal
 import subprocess
 import sys
 import time
 
-from live_helpers import LIVE, PATIENCE
+from live_helpers import children_of, LIVE, PATIENCE
 import pytest
 
-from redundant_planner.tools.child_processes import die_with
+from redundant_planner.nodes.child_processes import die_with
 from redundant_planner.tools.demo import main
 
 pytestmark = LIVE
 COMMAND = [sys.executable, '-m', 'redundant_planner.tools.demo']
-
-
-def children_of(marker: str) -> list[str]:
-    """Command lines of live processes of this package that carry a marker in their environment."""
-    found = []
-    for process in Path('/proc').glob('[0-9]*'):
-        try:
-            if marker.encode() in (process / 'environ').read_bytes():
-                found.append((process / 'cmdline').read_text())
-        except OSError:
-            continue
-    return found
 
 
 def start(tmp_path, *arguments):

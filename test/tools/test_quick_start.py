@@ -11,15 +11,14 @@ import sys
 import time
 
 from conftest import PANDA_URDF
-from live_helpers import LIVE, PATIENCE, station
+from live_helpers import children_of, LIVE, PATIENCE, station
 import numpy as np
 import pytest
-from test_demo import children_of
 import yaml
 
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.robot_files import load_robot
-from redundant_planner.tools.child_processes import LiveError
+from redundant_planner.nodes.child_processes import LiveError
 from redundant_planner.tools.quick_start import _Nodes, main, next_steps, prepared
 
 # The end of all processes takes no longer, on a busy machine too [s].

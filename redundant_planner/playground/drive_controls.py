@@ -1,0 +1,139 @@
+"""The driver's controls: speeds, sliders, the handle at the tip, stop, pause and reset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+import viser
+
+from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.playground.arm_view import wxyz_of
+from redundant_planner.playground.drive import FASTEST_ANGULAR, FASTEST_LINEAR, Speeds
+from redundant_planner.playground.world import FAR
+
+Array = npt.NDArray[np.float64]
+
+_HELP = """Hold a key: **W S** ±x, **A D** ±y, **Q E** ±z, arrows and **R F** turn, **Shift**
+slower. A gamepad: hold a shoulder button. Or drag the handle at the tip. **Letting go stops the
+arm.**"""
+# How often a held button tells that it is held [Hz].
+_BEAT = 20.0
+_AXES = ('vx [m/s]', 'vy [m/s]', 'vz [m/s]', 'wx [rad/s]', 'wy [rad/s]', 'wz [rad/s]')
+
+
+class DriveControls:
+    """What the driver drives with.
+
+    Attributes:
+        stops_at_release: whether letting go of the handle stops the arm.
+        drags: whether the handle is held.
+    """
+
+    def __init__(
+        self, client: viser.ClientHandle, later: Callable[..., None], *, stops_at_release: bool,
+        hold: Callable[[], object], stop: Callable[[], object], pause: Callable[[bool], object],
+        reset: Callable[[], object],
+    ) -> None:
+        """Put the controls on the driver's page.
+
+        Args:
+            client: the driver.
+            later: has a function called in the loop of the page, with its arguments.
+            stops_at_release: whether letting go of the handle stops the arm, at first.
+            hold: called again and again while the sliders' twist is held.
+            stop, pause, reset: called when the driver wants it.
+        """
+        gui: Any = client.gui  # where mypy takes values for read-only
+        self.drags = False
+        self._target: Pose | None = None
+        self._released = False
+        with gui.add_folder('Drive', order=2):
+            gui.add_markdown(_HELP)
+            self._linear = gui.add_slider('tip speed [m/s]', 0.01, FASTEST_LINEAR, 0.01, 0.15)
+            self._angular = gui.add_slider('turn speed [rad/s]', 0.05, FASTEST_ANGULAR, 0.05, 0.5)
+            stopping = gui.add_button('Stop', color='red')
+            resetting = gui.add_button('Reset the path')
+            pausing = gui.add_checkbox('pause the planner', False)
+            self._stops = gui.add_checkbox(
+                'stop when the handle is let go', stops_at_release,
+                hint='otherwise the arm goes on to where the handle is')
+            with gui.add_folder('A twist by sliders', expand_by_default=False):
+                self._axes = [
+                    gui.add_slider(name, -fastest, fastest, 0.01, 0.0) for name, fastest in zip(
+                        _AXES, (*(FASTEST_LINEAR,) * 3, *(FASTEST_ANGULAR,) * 3))]
+                holding = gui.add_button('Hold to drive (or hold Space)')
+                zeroing = gui.add_button('All to zero')
+        self._handle = client.scene.add_transform_controls('/handle', scale=0.22, depth_test=False)
+
+        async def held(event: Any) -> None:
+            later(hold)
+
+        async def zero(event: Any) -> None:
+            for axis in self._axes:
+                axis.value = 0.0
+
+        async def dragged(event: Any) -> None:
+            later(self._dragged, event.phase, np.array(event.target.position),
+                  np.array(event.target.wxyz))
+
+        async def stopped(event: Any) -> None:
+            later(stop)
+
+        async def pauses(event: Any) -> None:
+            later(pause, bool(event.target.value))
+
+        async def resets(event: Any) -> None:
+            later(reset)
+
+        holding.on_hold(held, callback_hz=_BEAT)
+        zeroing.on_click(zero)
+        stopping.on_click(stopped)
+        resetting.on_click(resets)
+        pausing.on_update(pauses)
+        self._handle.on_update(dragged)
+
+    @property
+    def stops_at_release(self) -> bool:
+        """Whether letting go of the handle stops the arm."""
+        return bool(self._stops.value)
+
+    @property
+    def speeds(self) -> Speeds:
+        """How fast keys and sticks move the tip."""
+        return Speeds(_sound(self._linear.value), _sound(self._angular.value))
+
+    @property
+    def sliders(self) -> Array:
+        """The sliders' twist (6,)."""
+        return np.array([_sound(axis.value) for axis in self._axes])
+
+    def take(self) -> tuple[Pose | None, bool]:
+        """Return where the handle was dragged since the last call, and whether it was let go."""
+        found = self._target, self._released
+        self._target, self._released = None, False
+        return found
+
+    def follow(self, arm: Kinematics) -> None:
+        """Put the handle at the tip."""
+        self._handle.position = arm.tip_position
+        self._handle.wxyz = wxyz_of(arm.tip_rotation)
+
+    def _dragged(self, phase: str, position: Array, wxyz: Array) -> None:
+        """Note one event of a drag; a place that is none counts for nothing."""
+        self.drags = phase != 'end'
+        self._released = self._released or phase == 'end'
+        size = float(np.linalg.norm(wxyz))
+        if (np.abs(position) <= FAR).all() and 0.5 < size < 2.0:
+            w, x, y, z = (wxyz / size).tolist()
+            self._target = Pose(position, pin.Quaternion(w, x, y, z).toRotationMatrix())
+
+
+def _sound(value: float) -> float:
+    """Return a slider's value; 0 if a browser sends what is no number."""
+    return float(value) if math.isfinite(value) else 0.0

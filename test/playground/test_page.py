@@ -1,0 +1,302 @@
+"""The page in a real browser, with a real planner and a simulated arm behind it."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import time
+
+from chromium import browser, Chromium
+from conftest import make_panda, PANDA_URDF
+from live_helpers import children_of, LIVE, PATIENCE, station
+import numpy as np
+import pytest
+from visualization_msgs.msg import MarkerArray
+
+from redundant_planner.playground.world import MOST_ITEMS
+
+pytestmark = [pytest.mark.live, pytest.mark.skipif(
+    browser() is None, reason='no Chromium on this machine (apt install chromium)')]
+PANDA = make_panda()
+# The end of all processes takes no longer, on a busy machine too [s].
+END = 20.0
+# Screenshots stay here, for those who want to see what the browser saw.
+PICTURES = Path(os.environ.get('PLAYGROUND_PICTURES', 'build/playground'))
+TOKEN = "document.querySelector('[data-playground-token]')"
+FIGURES = "document.querySelector('[data-figures]')"
+# Pixels that are not the background, in what WebGL has drawn.
+DRAWN = """(() => {
+    const canvas = document.querySelector('canvas');
+    if (!canvas?.width) return Promise.resolve(0);
+    const small = document.createElement('canvas');
+    small.width = small.height = 64;
+    return new Promise((answer) => requestAnimationFrame(() => {
+        const context = small.getContext('2d');
+        context.drawImage(canvas, 0, 0, 64, 64);
+        const data = context.getImageData(0, 0, 64, 64).data;
+        const colours = new Set();
+        for (let i = 0; i < data.length; i += 4)
+            colours.add(data[i] * 65536 + data[i + 1] * 256 + data[i + 2]);
+        answer(colours.size);
+    }));
+})()"""
+
+
+class Arm:
+    """What ROS says of the arm behind the page."""
+
+    def __init__(self, ros):
+        self._ros = ros
+        self.markers = {}
+        ros.node.create_subscription(MarkerArray, 'obstacles', self._on_markers, 10)
+
+    def _on_markers(self, message):
+        for marker in message.markers:
+            if marker.action == marker.ADD:
+                self.markers[marker.ns] = marker
+            else:
+                self.markers.pop(marker.ns, None)
+
+    @property
+    def tip(self):
+        # Not what had waited in a queue meanwhile.
+        self._ros.states.clear()
+        q = self._ros.state(PANDA.joint_names)
+        return PANDA.kinematics(q).tip_position
+
+    def comes_to_rest(self, patience=PATIENCE):
+        """Wait until the arm stands still."""
+        self._ros.commands.clear()
+        self._ros.wait_for(self._ros.at_rest, 'rest', patience)
+
+
+@contextmanager
+def playground(folder, *arguments):
+    """Yield ROS, the arm and the address of a page with an arm behind it."""
+    with station() as (ros, _):
+        for publisher in (ros.twist, ros.joint_states, ros.obstacles):
+            ros.node.destroy_publisher(publisher)
+        log = folder / 'log'
+        environment = dict(os.environ, PLAYGROUND_TEST=str(folder),
+                           ROS_DOMAIN_ID=str(ros.node.context.get_domain_id()))
+        with log.open('w') as output:
+            process = subprocess.Popen(
+                [sys.executable, '-m', 'redundant_planner.tools.playground', '--port', '0',
+                 '--recordings', str(folder / 'recordings'), *arguments],
+                env=environment, stdout=output, stderr=output, start_new_session=True)
+
+        def address():
+            assert process.poll() is None, log.read_text()
+            return re.search(r'open (http://\S+)', log.read_text())
+
+        try:
+            ros.wait_for(address, 'the address of the page')
+            if '--attach' not in arguments:
+                ros.wait_for(lambda: ros.commands, 'joint_command', meanwhile=address)
+            yield ros, Arm(ros), address().group(1)
+            process.send_signal(signal.SIGINT)
+            begin = time.monotonic()
+            assert process.wait(PATIENCE) == 0, log.read_text()
+            assert time.monotonic() - begin < END
+            assert not children_of(f'PLAYGROUND_TEST={folder}'), 'an orphan'
+            assert 'Traceback' not in log.read_text(), log.read_text()
+        finally:
+            process.kill()
+            process.wait()
+
+
+def picture(page, name):
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    page.picture(PICTURES / f'{name}.png')
+
+
+def ready(page):
+    """Wait until a page shows a living arm and may drive it."""
+    page.wait_for(f'{TOKEN} && {FIGURES} && {FIGURES}.innerText.includes("nearest")')
+
+
+def hold(ros, page, key, condition, what):
+    """Hold a key until something is so."""
+    page.key(key, down=True)
+    try:
+        ros.wait_for(condition, what)
+    finally:
+        page.key(key, down=False)
+
+
+@LIVE
+def test_a_key_moves_the_arm_its_release_stops_it_and_so_does_a_closed_page(tmp_path):
+    with playground(tmp_path) as (ros, arm, url), Chromium() as chromium:
+        page = chromium.open(url)
+        ready(page)
+        page.wait_for(f'{DRAWN}.then((colours) => colours > 20)')
+        begin = arm.tip
+        hold(ros, page, 'KeyQ', lambda: arm.tip[2] > begin[2] + 0.03, 'motion up')
+        arm.comes_to_rest()
+        there = arm.tip
+        assert there[2] > begin[2] + 0.03
+        np.testing.assert_allclose(there[:2], begin[:2], atol=5e-3)
+        # A key that is held while another window comes up.
+        page.key('KeyE', down=True)
+        ros.wait_for(lambda: arm.tip[2] < there[2] - 0.01, 'motion down')
+        page.value("window.dispatchEvent(new Event('blur'))")
+        arm.comes_to_rest()
+        page.key('KeyE', down=False)
+
+        watcher = chromium.open(url)
+        watcher.wait_for("document.body?.innerText.includes('Somebody else drives')")
+        assert not watcher.value(f'!!{TOKEN}')
+        before = arm.tip
+        watcher.key('KeyQ', down=True)
+        watcher.value('new Promise((done) => setTimeout(done, 1500))')
+        watcher.key('KeyQ', down=False)
+        np.testing.assert_allclose(arm.tip, before, atol=1e-3)
+
+        picture(page, 'page')
+        # Closed in motion; then the other one may drive.
+        page.call('Page.bringToFront')
+        page.key('KeyE', down=True)
+        ros.wait_for(lambda: arm.tip[2] < before[2] - 0.01, 'motion down')
+        assert not page.errors
+        page.close()
+        arm.comes_to_rest()
+        watcher.call('Page.bringToFront')
+        ready(watcher)
+        before = arm.tip
+        hold(ros, watcher, 'KeyQ', lambda: arm.tip[2] > before[2] + 0.01, 'motion of the next')
+        assert not watcher.errors
+
+
+@LIVE
+def test_an_obstacle_that_is_dragged_into_the_way_stops_the_arm(tmp_path):
+    with playground(tmp_path) as (ros, arm, url), Chromium() as chromium:
+        page = chromium.open(url)
+        ready(page)
+        ros.wait_for(lambda: 'ball' in arm.markers, 'the obstacles')
+        page.wait_for(f'{DRAWN}.then((colours) => colours > 20)')
+        begin = np.array([getattr(arm.markers['ball'].pose.position, c) for c in 'xyz'])
+        # Where the page's first camera sees the ball; away from the arm.
+        x, y = seen_at(page, begin)
+        page.mouse('mouseMoved', x, y)
+        page.mouse('mousePressed', x, y, held=True)
+        for step in range(1, 11):
+            page.mouse('mouseMoved', x + 10 * step, y - 8 * step, held=True)
+        page.mouse('mouseReleased', x + 100, y - 80)
+
+        def moved():
+            position = arm.markers['ball'].pose.position
+            return np.linalg.norm((position.x, position.y, position.z) - begin) > 0.1
+
+        ros.wait_for(moved, 'the ball elsewhere')
+        picture(page, 'dragged')
+        # Added, chosen and deleted by the panel.
+        before = set(arm.markers)
+        press(page, '+ box')
+        ros.wait_for(lambda: set(arm.markers) - before == {'box 1'}, 'a new box')
+        press(page, 'Delete')
+        ros.wait_for(lambda: set(arm.markers) == before, 'no new box')
+        # A box beside the hand: the arm does not go there, and says why.
+        press(page, '+ box')
+        ros.wait_for(lambda: 'box 1' in arm.markers, 'a box')
+        begin = arm.tip
+        page.key('KeyD', down=True)
+        page.wait_for(f'{FIGURES}.innerText.includes("box")')
+        ros.wait_for(lambda: arm.tip[1] < begin[1] - 0.05, 'motion')
+        page.wait_for(f'{FIGURES}.innerText.includes("near obstacle \'box")')
+        arm.comes_to_rest()
+        page.key('KeyD', down=False)
+        assert not page.errors
+
+
+@LIVE
+def test_fifty_things_that_move_at_once_and_a_page_that_sends_nonsense(tmp_path):
+    with playground(tmp_path) as (ros, arm, url), Chromium() as chromium:
+        page = chromium.open(url)
+        ready(page)
+        token = page.value(f'{TOKEN}.dataset.playgroundToken')
+        begin = arm.tip
+        page.value(f"""new Promise((done) => {{
+            const socket = new WebSocket(`ws://${{location.host}}/held`);
+            socket.onopen = () => {{
+                for (const pad of ['{{"axes": [NaN, 1e999], "buttons": [true]}}',
+                                   '{{"axes": [1e300, -1e300], "buttons": [0,0,0,0,true]}}',
+                                   '[]', '7', '{{"axes": {{}}}}'])
+                    socket.send(`{{"token": "{token}", "keys": [], "pad": ${{pad}}}}`);
+                socket.send('x'.repeat(100000));
+                setTimeout(done, 1000);
+            }};
+        }})""")
+        ready(page)
+        arm.comes_to_rest()
+        # One full stroke of a stick at most, for as long as a silent page counts.
+        assert np.linalg.norm(arm.tip - begin) < 0.15
+        before = len(arm.markers)
+        for count in range(1, 51):
+            press(page, '+ ball')
+            ros.wait_for(lambda count=count: len(arm.markers) == before + count, 'a ball')
+        hold(ros, page, 'KeyQ', lambda: arm.tip[2] > begin[2] + 0.01, 'motion all the same')
+        arm.comes_to_rest()
+        press(page, 'Delete all')
+        ros.wait_for(lambda: not arm.markers, 'no obstacle')
+        assert before + 50 < MOST_ITEMS
+
+
+@LIVE
+def test_attached_it_only_watches(tmp_path):
+    with station() as (ros, processes):
+        for publisher in (ros.joint_states, ros.obstacles):
+            ros.node.destroy_publisher(publisher)
+        values = {'urdf': PANDA_URDF}
+        from redundant_planner.playground.scenes import page_scenes
+        start = page_scenes(None)[0].arms[0].start
+        file = Path('config/robots/panda.yaml')
+        processes.start('fake_hardware_node', [file], {
+            **values, 'initial_joints': list(start), 'initial_positions': list(start.values())})
+        processes.start('planner_node', [file], values)
+        ros.wait_for(lambda: ros.commands, 'joint_command')
+        environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.node.context.get_domain_id()))
+        log = tmp_path / 'log'
+        with log.open('w') as output:
+            process = subprocess.Popen(
+                [sys.executable, '-m', 'redundant_planner.tools.playground', '--attach',
+                 '--port', '0'], env=environment, stdout=output, stderr=output)
+        try:
+            ros.wait_for(lambda: 'open http' in log.read_text(), 'the address')
+            url = re.search(r'open (http://\S+)', log.read_text()).group(1)
+            with Chromium() as chromium:
+                page = chromium.open(url)
+                page.wait_for(f'{FIGURES} && {FIGURES}.innerText.includes("manipulability")')
+                assert not page.value(f'!!{TOKEN}')
+                assert not ros.node.get_publishers_info_by_topic('obstacles')
+                # The only one who commands is still the one who did.
+                assert len(ros.node.get_publishers_info_by_topic('cmd_vel')) == 1
+                ros.drive_until(np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0]), ros.moves, 'motion')
+                assert not page.errors
+        finally:
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE) == 0, log.read_text()
+
+
+def press(page, words):
+    """Press a button by what is written on it, as fast as people do."""
+    page.value(f"""new Promise((done) => setTimeout(() => done(
+        [...document.querySelectorAll('button')].find(
+            (button) => button.innerText.trim() === '{words}').click()), 300))""")
+
+
+def seen_at(page, point):
+    """Return where the page's first camera sees a point [px]."""
+    eye, middle = np.array((1.45, -1.15, 1.05)), np.array((0.25, 0.0, 0.4))
+    forward = (middle - eye) / np.linalg.norm(middle - eye)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    away = point - eye
+    width, height = page.value('[innerWidth, innerHeight]')
+    scale = 0.5 * height / np.tan(np.radians(75.0) / 2.0) / (away @ forward)
+    return (0.5 * width + scale * (away @ right),
+            0.5 * height - scale * (away @ np.cross(right, forward)))
