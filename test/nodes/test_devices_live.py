@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 import time
 
-from bench import CREEPING
+from bench import ARM, ARM_VALUES, CREEPING, FILE
 from conftest import make_panda, PANDA_READY, PANDA_URDF, ROBOTS
 from device_nodes import AXES, BUTTONS, GameController, JoyTeleop, KeyTeleop, Spacenav, TwistJoy
 from live_helpers import LIVE, station
@@ -36,9 +36,12 @@ class Hand:
     """A hand on a device: what it holds is sent at the device's rate, as long as we wait.
 
     Attributes:
+        robot: the arm.
         plugged: whether the device is there.
         let_go_at: when it was let go or unplugged, of `time.time()` [s].
     """
+
+    robot = ROBOT
 
     def __init__(self, ros):
         self.ros, self.plugged, self.let_go_at, self.answers = ros, True, np.inf, []
@@ -98,8 +101,13 @@ class Hand:
         """Go on until the arm moves the tip as it should, to a twentieth of the speed."""
         def does():
             return self.ros.commands and np.linalg.norm(
-                tip_twist(self.ros.commands[-1]) - twist) < 0.05 * np.linalg.norm(twist)
+                self.tip_twist() - twist) < 0.05 * np.linalg.norm(twist)
         self.until(does, f'a motion of the tip with {twist}')
+
+    def tip_twist(self):
+        """What the latest command moves the tip with."""
+        command = self.ros.commands[-1]
+        return self.robot.kinematics(np.array(command.position)).jacobian @ command.velocity
 
     def rests_within(self, seconds):
         """Wait for rest, and hold it to what is promised."""
@@ -222,11 +230,6 @@ def kind_of(command):
     return getattr(import_module(f'{package}.srv'), name)
 
 
-def tip_twist(command):
-    """What a command moves the tip with."""
-    return ROBOT.kinematics(np.array(command.position)).jacobian @ np.array(command.velocity)
-
-
 def on(device, kind):
     """A fixture: a hand on a device, and an arm with the files that the launch file gives it."""
     @pytest.fixture(scope='module')
@@ -289,6 +292,24 @@ def test_the_right_shoulder_is_fast_and_back_to_slow_without_a_stop(gamepad):
     gamepad.moves_with(1.0 * TURN)
     gamepad.hold()
     gamepad.rests_within(LET_GO['gamepad'])
+
+
+def test_the_arm_of_the_launch_file_stops_as_fast():
+    """The paper's arm brakes at 2 m/s² only, and is started without a word about the arm."""
+    with station() as (ros, processes):
+        processes.start('fake_hardware_node', FILE, ARM_VALUES)
+        processes.start('planner_node', [*FILE, device_file('gamepad')])
+        ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
+        hand = OnGamepad(ros)
+        hand.robot = ARM
+        hand.hold('right_shoulder', left_x=FULL)
+        hand.moves_with(-0.25 * LEFT[:3])
+        hand.hold(left_x=FULL)
+        hand.rests_within(LET_GO['gamepad'])
+        hand.hold('right_shoulder', left_x=-FULL)
+        hand.moves_with(0.25 * LEFT[:3])
+        hand.unplug()
+        hand.rests_within(GONE['gamepad'])
 
 
 def test_a_gamepad_that_is_gone_stops_the_arm(gamepad):
