@@ -26,6 +26,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('device', description=f'one of {", ".join(DEVICES)}'),
         DeclareLaunchArgument('arm', default_value='true',
                               description='whether to start a planner and a simulated arm too'),
+        DeclareLaunchArgument('namespace', default_value='',
+                              description='of all nodes: that of the arm that is driven'),
         DeclareLaunchArgument('scenario', default_value=str(config / 'scenarios' / 'paper.yaml'),
                               description='scenario file: the robot and its start posture'),
         DeclareLaunchArgument('params', default_value=str(config / 'planner' / 'default.yaml'),
@@ -54,6 +56,7 @@ def _drivers(context) -> list[Node | LogInfo]:
             continue
         actions.append(Node(
             package=driver.package, executable=driver.executable, name=driver.name,
+            namespace=LaunchConfiguration('namespace'),
             parameters=[str(file)], remappings=list(driver.remap), output='screen',
             prefix='xterm -e' if driver.reads_keys else None))
     return actions
@@ -68,7 +71,9 @@ def _arm(context) -> list[Node]:
     device = str(device_file(LaunchConfiguration('device').perform(context)))
     return [
         Node(package='redundant_planner', executable='fake_hardware_node',
+             namespace=LaunchConfiguration('namespace'),
              parameters=[robot, start], output='screen'),
         Node(package='redundant_planner', executable='planner_node',
+             namespace=LaunchConfiguration('namespace'),
              parameters=[robot, LaunchConfiguration('params'), device], output='screen'),
     ]

@@ -144,7 +144,7 @@ def _keyboard(axes: Any, settings: Settings) -> None:
 
 def _puck(axes: Any, settings: Settings) -> None:
     values = settings['spacenav']
-    _title(axes, 'push or turn the puck; it springs back when you let go')
+    _title(axes, 'push or turn the puck, and the other way likewise; it springs back')
     axes.add_patch(Ellipse((4.3, 1.35), 3.4, 1.5, facecolor=_BODY, edgecolor=_INK, zorder=1.0))
     axes.add_patch(Ellipse((4.3, 1.6), 1.9, 0.85, facecolor='white', edgecolor=_INK, zorder=2.0))
     ends = {'x': ((4.75, 2.0), (5.35, 2.65)), 'y': ((3.3, 1.6), (2.35, 1.6)),
@@ -169,7 +169,8 @@ def _puck(axes: Any, settings: Settings) -> None:
         said = calls(settings).get(button, 'nothing')
         _box(axes, (left, 0.25, 1.95, 0.5), f'{name}: {said}',
              _CALL if button in calls(settings) else 'white')
-    _words(axes, 4.3, 0.3, f'at {values["full_scale"]:g} counts', color=_PALE)
+    _words(axes, 4.3, 0.3, f'speeds at {values["full_scale"]:g} counts of deflection',
+           color=_PALE)
 
 
 def _speeds(linear: float, angular: float) -> str:

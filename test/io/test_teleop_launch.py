@@ -76,6 +76,7 @@ def test_planner_arm_and_device_start_from_the_device_alone(launch, device):
         assert (node.package, node.name) == (driver.package, driver.name)
         assert node.parameters == [str(device_file(device))]
         assert node.remappings == list(driver.remap)
+    assert all(node.namespace.args == ('namespace',) for node in nodes)
     assert nodes[-1].parameters[-1] == str(device_file(device))
 
 
