@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.io.devices import device_file, device_settings
+from redundant_planner.io.resources import share_directory
 from redundant_planner.nodes.messages import seconds_of, twist_to_message
 
 pytestmark = LIVE
@@ -26,8 +27,8 @@ NAMES = list(ROBOT.joint_names)
 # A stick at its end stop, as SDL counts it.
 FULL = 32767
 # docs/devices.md: at rest so long after letting go, and after the device's last word [s].
-LET_GO = {'keyboard': 0.9, 'gamepad': 0.3, 'spacemouse': 0.3}
-GONE = {'keyboard': 0.9, 'gamepad': 0.4, 'spacemouse': 0.4}
+LET_GO = {'gamepad': 0.3, 'keyboard': 0.9, 'spacemouse': 0.3}
+GONE = {'gamepad': 0.4, 'keyboard': 0.9, 'spacemouse': 0.4}
 STOP_KEY = 0.3
 FORWARD, LEFT, UP, TURN = np.eye(6)[[0, 1, 2, 5]]
 
@@ -251,6 +252,15 @@ keyboard = on('keyboard', OnKeyboard)
 puck = on('spacemouse', OnPuck)
 
 
+def test_the_docs_promise_these_times():
+    page = (share_directory() / 'docs' / 'devices.md').read_text()
+    rows = [[cell.strip() for cell in line.strip('|').split('|')] for line in page.splitlines()
+            if (line.startswith('|') and 'zero twist' in line) or '| nothing |' in line]
+    promised = {row[0] if 'press' not in row[1] else 'k': (row[3], row[4]) for row in rows}
+    assert promised == {'k': (f'{STOP_KEY} s', ''), **{
+        device: (f'{LET_GO[device]} s', f'{GONE[device]} s') for device in LET_GO}}
+
+
 @pytest.mark.parametrize(('sticks', 'twist'), [
     ({'left_y': -FULL}, 0.1 * FORWARD), ({'left_y': FULL}, -0.1 * FORWARD),
     ({'left_x': -FULL}, 0.1 * LEFT), ({'left_x': FULL}, -0.1 * LEFT),
@@ -376,6 +386,12 @@ def test_a_held_key_moves_without_a_stop_until_it_is_let_go(keyboard):
     assert all(np.any(m.velocity) for m in keyboard.ros.commands)
     keyboard.let_go()
     keyboard.rests_within(LET_GO['keyboard'])
+    keyboard.hold(',')
+    keyboard.moves_with(-0.1 * FORWARD)
+    keyboard.unplug()
+    keyboard.rests_within(GONE['keyboard'])
+    keyboard.plugged = True
+    keyboard.let_go()
 
 
 def test_q_is_faster_and_any_other_key_stops(keyboard):
