@@ -45,14 +45,14 @@ def generate_launch_description() -> LaunchDescription:
 def _drivers(context) -> list[Node | LogInfo]:
     """Make the device's nodes. A device without its packages ends the launch with one line."""
     device = LaunchConfiguration('device').perform(context)
-    file = device_file(device)
+    file, namespace = device_file(device), LaunchConfiguration('namespace').perform(context)
     actions = []
     for driver in installed_drivers(device):
         # launch's own terminal is not read by the nodes it starts: they take a window.
         window = shutil.which('xterm') if os.environ.get('DISPLAY') else None
         if driver.reads_keys and not window:
             actions.append(LogInfo(msg='keys are read in a terminal; type there: '
-                                       + run_line(driver, file)))
+                                       + run_line(driver, file, namespace)))
             continue
         actions.append(Node(
             package=driver.package, executable=driver.executable, name=driver.name,

@@ -97,9 +97,10 @@ def device_file(device: str) -> Path:
     return share_directory() / 'config' / 'devices' / f'{device}.yaml'
 
 
-def run_line(driver: DriverNode, file: Path) -> str:
+def run_line(driver: DriverNode, file: Path, namespace: str = '') -> str:
     """Return what to type in a terminal to run one of the nodes by itself."""
-    remap = ''.join(f' -r {old}:={new}' for old, new in driver.remap)
+    names = [*driver.remap, *([('__ns', f"/{namespace.strip('/')}")] if namespace else [])]
+    remap = ''.join(f' -r {old}:={new}' for old, new in names)
     return f'ros2 run {driver.package} {driver.executable} --ros-args --params-file {file}{remap}'
 
 

@@ -89,6 +89,7 @@ def test_a_keyboard_gets_a_window_or_says_what_to_type(launch, monkeypatch, tmp_
     said, *arm = launch(device='keyboard')
     assert 'ros2 run teleop_twist_keyboard teleop_twist_keyboard --ros-args' in said.msg
     assert [node.executable for node in arm] == ['fake_hardware_node', 'planner_node']
+    assert launch(device='keyboard', namespace='left')[0].msg.endswith(' -r __ns:=/left')
     xterm = tmp_path / 'bin' / 'xterm'
     xterm.parent.mkdir()
     xterm.touch(mode=0o755)
