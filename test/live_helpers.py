@@ -132,10 +132,15 @@ class Station:
         return len(recent) == 20 and not any(np.any(m.velocity) for m in recent)
 
 
+def next_domain():
+    """Return a ROS domain for one test."""
+    return 1 + next(_domains) % (PAPER_DOMAINS.start - 1)
+
+
 @contextmanager
 def station(kind=ForkedProcesses):
     """Yield a Station and a kind of Processes on a ROS domain of their own."""
-    domain = 1 + next(_domains) % (PAPER_DOMAINS.start - 1)
+    domain = next_domain()
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = Node('station', context=context)

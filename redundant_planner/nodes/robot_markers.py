@@ -78,12 +78,13 @@ class RobotMarkers:
             cap.points = [_point(start), _point(end)]
         self._line.points = []
         if nearest is not None:
-            link = [c.name for c in self._robot.capsules].index(nearest.link)
+            links = [i for i, c in enumerate(self._robot.capsules) if c.name == nearest.link]
             # A marker that lists many obstacles gives all of them its name.
             rows = [i for i, name in enumerate(scene.names) if name == nearest.obstacle]
-            here, there = surface_point(
-                scene, np.array(rows), arm.segment_start[link], arm.segment_end[link])
-            self._line.points = [_point(here), _point(there)]
+            if links and rows:  # which may be gone since the tick that found them
+                here, there = surface_point(
+                    scene, np.array(rows), arm.segment_start[links[0]], arm.segment_end[links[0]])
+                self._line.points = [_point(here), _point(there)]
         if reference is not None:
             self._path.append(_point(reference))
         self._track.points = list(self._path)

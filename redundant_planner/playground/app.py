@@ -101,6 +101,7 @@ class Playground:
         self._recordings = Recordings(options.recordings, environment)
         self._begin, self._written, self._notice = time.monotonic(), -math.inf, ''
         self._page: PageServer | None = None
+        self._scene: PageScene | None = None
         self._set_up()
         if nodes is None:
             self._listen_to([ArmSetup({}, namespace=name) for name in options.arms])
@@ -263,7 +264,7 @@ class Playground:
         """Give a visitor the controls."""
         driver = _Driver(client, secrets.token_urlsafe(8))
         driver.more = MoreControls(
-            client, self._later, self._scenes if self._nodes is not None else (), self.load,
+            client, self._later, self._scenes, self._scene, self.load,
             [arm.client.namespace.strip('/') for arm in self._arms], self._drive,
             self._compare, self._record, self._show)
         if self._options.drives:
@@ -361,7 +362,7 @@ class Playground:
         """Bring a scene: its arms, where they start, and what stands around them."""
         assert self._nodes is not None
         self._dead_man.stop(time.monotonic())
-        self._notice = ''
+        self._notice, self._scene = '', scene
         is_new = self._nodes.load(scene.arms)
         self._world.load(scene.items)
         if is_new:

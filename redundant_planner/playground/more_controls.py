@@ -21,7 +21,7 @@ class MoreControls:
 
     def __init__(
         self, client: viser.ClientHandle, later: Callable[..., None],
-        scenes: Sequence[PageScene], load: Callable[[PageScene], object],
+        scenes: Sequence[PageScene], shown: PageScene | None, load: Callable[[PageScene], object],
         arms: Sequence[str], drive: Callable[[int], object],
         compare: Callable[[str], object], record: Callable[[bool], object],
         show: Callable[[bool, bool], object],
@@ -31,7 +31,8 @@ class MoreControls:
         Args:
             client: the driver.
             later: has a function called in the loop of the page, with its arguments.
-            scenes: to choose from; none where the page does not run the arm.
+            scenes: to choose from.
+            shown: the one that is shown; None where the page does not run the arm.
             load: takes the chosen one.
             arms: names of the arms.
             drive: takes the number of the arm that is to be driven.
@@ -41,10 +42,10 @@ class MoreControls:
         """
         gui: Any = client.gui  # where mypy takes values for read-only
         titles = {scene.title: scene for scene in scenes}
-        if titles:
+        if shown is not None:
             with gui.add_folder('Scene', order=1):
-                self._hint = gui.add_markdown(scenes[0].hint)
-                choice = gui.add_dropdown('scene', tuple(titles))
+                self._hint = gui.add_markdown(shown.hint)
+                choice = gui.add_dropdown('scene', tuple(titles), shown.title)
                 loading = gui.add_button('Load it anew')
 
             async def loads(event: Any) -> None:

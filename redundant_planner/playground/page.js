@@ -10,7 +10,8 @@
   const token = () => document.querySelector('[data-playground-token]')?.dataset.playgroundToken;
   const writes = (element) => element instanceof HTMLElement && (
     element.isContentEditable || element.tagName === 'TEXTAREA'
-    || (element.tagName === 'INPUT' && !['checkbox', 'range', 'radio'].includes(element.type)));
+    || (element.tagName === 'INPUT' && !element.readOnly  // as lists to choose from are
+        && !['checkbox', 'range', 'radio'].includes(element.type)));
 
   function pad() {
     const found = [...(navigator.getGamepads?.() ?? [])].find((one) => one && one.connected);

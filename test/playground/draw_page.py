@@ -18,14 +18,14 @@ FIGURES = Path(__file__).resolve().parent.parent.parent / 'docs' / 'figures'
 
 def main():
     """Drive a little, so that there is a trail, and take the picture in motion."""
-    with tempfile.TemporaryDirectory() as folder, playground(Path(folder)) as (ros, arm, url), (
+    with tempfile.TemporaryDirectory() as folder, playground(Path(folder)) as (arm, url), (
             Chromium(1280, 760)) as chromium:
         page = chromium.open(url)
         ready(page)
         for key, axis, way in (('KeyE', 2, -0.12), ('KeyD', 1, -0.12), ('KeyA', 1, 0.25)):
             begin = arm.tip
             page.key(key, down=True)
-            ros.wait_for(lambda b=begin, a=axis, w=way: (arm.tip - b)[a] / w > 1.0, 'motion')
+            arm.wait_for(lambda b=begin, a=axis, w=way: (arm.tip - b)[a] / w > 1.0, 'motion')
             if way < 0.0:
                 page.key(key, down=False)
                 time.sleep(1.0)

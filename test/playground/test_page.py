@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from contextlib import contextmanager
 import os
 from pathlib import Path
@@ -13,11 +14,18 @@ import time
 
 from chromium import browser, Chromium
 from conftest import make_panda, PANDA_URDF
-from live_helpers import children_of, LIVE, PATIENCE, station
+from live_helpers import children_of, LIVE, next_domain, PATIENCE, station
 import numpy as np
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
+from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.playground.scenes import page_scenes
 from redundant_planner.playground.world import MOST_ITEMS
 
@@ -49,66 +57,104 @@ DRAWN = """(() => {
 
 
 class Arm:
-    """What ROS says of the arm behind the page."""
+    """What ROS says of the arm behind the page.
 
-    def __init__(self, ros):
-        self._ros = ros
-        self.markers = {}
-        ros.node.create_subscription(MarkerArray, 'obstacles', self._on_markers, 10)
+    Messages are fetched when they are wanted: a callback for each would fall behind while a
+    browser is waited for, and tell of what was long ago.
+    """
 
-    def _on_markers(self, message):
-        for marker in message.markers:
-            if marker.action == marker.ADD:
-                self.markers[marker.ns] = marker
-            else:
-                self.markers.pop(marker.ns, None)
+    def __init__(self, domain):
+        self.domain, self._context = domain, Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = Node('onlooker', context=self._context)
+        self._inboxes, self._markers = {}, {}
+
+    def messages(self, kind, topic, depth=50):
+        """Return the messages on a topic since the last call, as far as they were kept."""
+        if topic not in self._inboxes:
+            self._inboxes[topic] = PolledSubscription(
+                self._node, kind, topic, QoSProfile(depth=depth))
+        return [deserialize_message(raw, kind) for raw in self._inboxes[topic].fetch()]
+
+    @property
+    def markers(self):
+        """Obstacles by their names."""
+        for message in self.messages(MarkerArray, 'obstacles', 1000):
+            for marker in message.markers:
+                if marker.action == marker.ADD:
+                    self._markers[marker.ns] = marker
+                else:
+                    self._markers.pop(marker.ns, None)
+        return self._markers
+
+    def tip_of(self, topic):
+        """Return where the tip of the Panda behind a topic is now."""
+        self.messages(JointState, topic)
+        states = []
+        self.wait_for(lambda: states.extend(self.messages(JointState, topic)) or states, topic)
+        message = states[-1]
+        return PANDA.kinematics([message.position[message.name.index(name)]
+                                 for name in PANDA.joint_names]).tip_position
 
     @property
     def tip(self):
-        # Not what had waited in a queue meanwhile.
-        self._ros.states.clear()
-        q = self._ros.state(PANDA.joint_names)
-        return PANDA.kinematics(q).tip_position
+        return self.tip_of('joint_states')
 
-    def comes_to_rest(self, patience=PATIENCE):
-        """Wait until the arm stands still."""
-        self._ros.commands.clear()
-        self._ros.wait_for(self._ros.at_rest, 'rest', patience)
+    def is_commanded(self):
+        return bool(self.messages(JointState, 'joint_command'))
+
+    def comes_to_rest(self):
+        """Wait until 20 commands in turn are stops."""
+        last = deque(maxlen=20)
+
+        def rests():
+            last.extend(np.any(m.velocity) for m in self.messages(JointState, 'joint_command'))
+            return len(last) == 20 and not any(last)
+
+        self.messages(JointState, 'joint_command')
+        self.wait_for(rests, 'rest')
+
+    @staticmethod
+    def wait_for(condition, what):
+        """Wait until something is so."""
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, f'waited {PATIENCE} s in vain: {what}'
+            time.sleep(0.02)
+
+    def close(self):
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
 
 
 @contextmanager
-def playground(folder, *arguments):
-    """Yield ROS, the arm and the address of a page with an arm behind it."""
-    with station() as (ros, _):
-        for publisher in (ros.twist, ros.joint_states, ros.obstacles):
-            ros.node.destroy_publisher(publisher)
-        log = folder / 'log'
-        environment = dict(os.environ, PLAYGROUND_TEST=str(folder),
-                           ROS_DOMAIN_ID=str(ros.node.context.get_domain_id()))
-        with log.open('w') as output:
-            process = subprocess.Popen(
-                [sys.executable, '-m', 'redundant_planner.tools.playground', '--port', '0',
-                 '--recordings', str(folder / 'recordings'), *arguments],
-                env=environment, stdout=output, stderr=output, start_new_session=True)
+def playground(folder):
+    """Yield the arm and the address of a page with that arm behind it."""
+    arm, log = Arm(next_domain()), folder / 'log'
+    environment = dict(os.environ, PLAYGROUND_TEST=str(folder), ROS_DOMAIN_ID=str(arm.domain))
+    with log.open('w') as output:
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'redundant_planner.tools.playground', '--port', '0',
+             '--recordings', str(folder / 'recordings')],
+            env=environment, stdout=output, stderr=output, start_new_session=True)
 
-        def address():
-            assert process.poll() is None, log.read_text()
-            return re.search(r'open (http://\S+)', log.read_text())
+    def address():
+        assert process.poll() is None, log.read_text()
+        return re.search(r'open (http://\S+)', log.read_text())
 
-        try:
-            ros.wait_for(address, 'the address of the page')
-            if '--attach' not in arguments:
-                ros.wait_for(lambda: ros.commands, 'joint_command', meanwhile=address)
-            yield ros, Arm(ros), address().group(1)
-            process.send_signal(signal.SIGINT)
-            begin = time.monotonic()
-            assert process.wait(PATIENCE) == 0, log.read_text()
-            assert time.monotonic() - begin < END
-            assert not children_of(f'PLAYGROUND_TEST={folder}'), 'an orphan'
-            assert 'Traceback' not in log.read_text(), log.read_text()
-        finally:
-            process.kill()
-            process.wait()
+    try:
+        arm.wait_for(lambda: address() and arm.is_commanded(), 'the page and the arm')
+        yield arm, address().group(1)
+        process.send_signal(signal.SIGINT)
+        begin = time.monotonic()
+        assert process.wait(PATIENCE) == 0, log.read_text()
+        assert time.monotonic() - begin < END
+        assert not children_of(f'PLAYGROUND_TEST={folder}'), 'an orphan'
+        assert 'Traceback' not in log.read_text(), log.read_text()
+    finally:
+        process.kill()
+        process.wait()
+        arm.close()
 
 
 def picture(page, name):
@@ -121,30 +167,30 @@ def ready(page):
     page.wait_for(f'{TOKEN} && {FIGURES} && {FIGURES}.innerText.includes("nearest")')
 
 
-def hold(ros, page, key, condition, what):
+def hold(arm, page, key, condition, what):
     """Hold a key until something is so."""
     page.key(key, down=True)
     try:
-        ros.wait_for(condition, what)
+        arm.wait_for(condition, what)
     finally:
         page.key(key, down=False)
 
 
 @LIVE
 def test_a_key_moves_the_arm_its_release_stops_it_and_so_does_a_closed_page(tmp_path):
-    with playground(tmp_path) as (ros, arm, url), Chromium() as chromium:
+    with playground(tmp_path) as (arm, url), Chromium() as chromium:
         page = chromium.open(url)
         ready(page)
         page.wait_for(f'{DRAWN}.then((colours) => colours > 20)')
         begin = arm.tip
-        hold(ros, page, 'KeyQ', lambda: arm.tip[2] > begin[2] + 0.03, 'motion up')
+        hold(arm, page, 'KeyQ', lambda: arm.tip[2] > begin[2] + 0.03, 'motion up')
         arm.comes_to_rest()
         there = arm.tip
         assert there[2] > begin[2] + 0.03
         np.testing.assert_allclose(there[:2], begin[:2], atol=5e-3)
         # A key that is held while another window comes up.
         page.key('KeyE', down=True)
-        ros.wait_for(lambda: arm.tip[2] < there[2] - 0.01, 'motion down')
+        arm.wait_for(lambda: arm.tip[2] < there[2] - 0.01, 'motion down')
         page.value("window.dispatchEvent(new Event('blur'))")
         arm.comes_to_rest()
         page.key('KeyE', down=False)
@@ -162,23 +208,23 @@ def test_a_key_moves_the_arm_its_release_stops_it_and_so_does_a_closed_page(tmp_
         # Closed in motion; then the other one may drive.
         page.call('Page.bringToFront')
         page.key('KeyE', down=True)
-        ros.wait_for(lambda: arm.tip[2] < before[2] - 0.01, 'motion down')
+        arm.wait_for(lambda: arm.tip[2] < before[2] - 0.01, 'motion down')
         assert not page.errors
         page.close()
         arm.comes_to_rest()
         watcher.call('Page.bringToFront')
         ready(watcher)
         before = arm.tip
-        hold(ros, watcher, 'KeyQ', lambda: arm.tip[2] > before[2] + 0.01, 'motion of the next')
+        hold(arm, watcher, 'KeyQ', lambda: arm.tip[2] > before[2] + 0.01, 'motion of the next')
         assert not watcher.errors
 
 
 @LIVE
 def test_an_obstacle_that_is_dragged_into_the_way_stops_the_arm(tmp_path):
-    with playground(tmp_path) as (ros, arm, url), Chromium() as chromium:
+    with playground(tmp_path) as (arm, url), Chromium() as chromium:
         page = chromium.open(url)
         ready(page)
-        ros.wait_for(lambda: len(arm.markers) == len(page_scenes(None)[0].items), 'the scene')
+        arm.wait_for(lambda: len(arm.markers) == len(page_scenes(None)[0].items), 'the scene')
         page.wait_for(f'{DRAWN}.then((colours) => colours > 20)')
         begin = np.array([getattr(arm.markers['ball'].pose.position, c) for c in 'xyz'])
         # Where the page's first camera sees the ball; away from the arm.
@@ -193,21 +239,21 @@ def test_an_obstacle_that_is_dragged_into_the_way_stops_the_arm(tmp_path):
             position = arm.markers['ball'].pose.position
             return np.linalg.norm((position.x, position.y, position.z) - begin) > 0.1
 
-        ros.wait_for(moved, 'the ball elsewhere')
+        arm.wait_for(moved, 'the ball elsewhere')
         picture(page, 'dragged')
         # Added, chosen and deleted by the panel.
         before = set(arm.markers)
         press(page, '+ box')
-        ros.wait_for(lambda: set(arm.markers) - before == {'box 1'}, 'a new box')
+        arm.wait_for(lambda: set(arm.markers) - before == {'box 1'}, 'a new box')
         press(page, 'Delete')
-        ros.wait_for(lambda: set(arm.markers) == before, 'no new box')
+        arm.wait_for(lambda: set(arm.markers) == before, 'no new box')
         # A box beside the hand: the arm does not go there, and says why.
         press(page, '+ box')
-        ros.wait_for(lambda: 'box 1' in arm.markers, 'a box')
+        arm.wait_for(lambda: 'box 1' in arm.markers, 'a box')
         begin = arm.tip
         page.key('KeyD', down=True)
         page.wait_for(f'{FIGURES}.innerText.includes("box")')
-        ros.wait_for(lambda: arm.tip[1] < begin[1] - 0.05, 'motion')
+        arm.wait_for(lambda: arm.tip[1] < begin[1] - 0.05, 'motion')
         page.wait_for(f'{FIGURES}.innerText.includes("near obstacle \'box")')
         page.value('new Promise((done) => setTimeout(done, 2000))')
         # Two seconds more would have taken it a foot further, and through the box.
@@ -218,8 +264,8 @@ def test_an_obstacle_that_is_dragged_into_the_way_stops_the_arm(tmp_path):
 
 
 @LIVE
-def test_a_page_that_sends_nonsense_and_dozens_of_obstacles(tmp_path):
-    with playground(tmp_path) as (ros, arm, url), Chromium() as chromium:
+def test_a_page_that_sends_nonsense_and_many_clicks_at_once(tmp_path):
+    with playground(tmp_path) as (arm, url), Chromium() as chromium:
         page = chromium.open(url)
         ready(page)
         token = page.value(f'{TOKEN}.dataset.playgroundToken')
@@ -239,7 +285,7 @@ def test_a_page_that_sends_nonsense_and_dozens_of_obstacles(tmp_path):
         arm.comes_to_rest()
         # One full stroke of a stick at most, for as long as a silent page counts.
         assert np.linalg.norm(arm.tip - begin) < 0.15
-        ros.wait_for(lambda: len(arm.markers) == len(page_scenes(None)[0].items), 'the scene')
+        arm.wait_for(lambda: len(arm.markers) == len(page_scenes(None)[0].items), 'the scene')
         before = len(arm.markers)
         # As fast as nobody clicks: a page takes clicks together that come together.
         page.value("""(async () => {
@@ -250,11 +296,11 @@ def test_a_page_that_sends_nonsense_and_dozens_of_obstacles(tmp_path):
                 await new Promise((done) => setTimeout(done, 100));
             }
         })()""")
-        ros.wait_for(lambda: len(arm.markers) >= before + 40, 'dozens of balls')
-        hold(ros, page, 'KeyQ', lambda: arm.tip[2] > begin[2] + 0.01, 'motion all the same')
+        arm.wait_for(lambda: len(arm.markers) >= before + 12, 'a dozen balls')
+        hold(arm, page, 'KeyQ', lambda: arm.tip[2] > begin[2] + 0.01, 'motion all the same')
         arm.comes_to_rest()
         press(page, 'Delete all')
-        ros.wait_for(lambda: not arm.markers, 'no obstacle')
+        arm.wait_for(lambda: not arm.markers, 'no obstacle')
         assert before + 60 < MOST_ITEMS
 
 
@@ -291,6 +337,43 @@ def test_attached_it_only_watches(tmp_path):
         finally:
             process.send_signal(signal.SIGINT)
             assert process.wait(PATIENCE) == 0, log.read_text()
+
+
+@LIVE
+def test_another_scene_brings_other_arms(tmp_path):
+    with playground(tmp_path) as (arm, url), Chromium() as chromium:
+        page = chromium.open(url)
+        ready(page)
+        first = page.value(f'{TOKEN}.dataset.playgroundToken')
+        choose(page, 'Panda past obstacles', 'Two arms')
+        page.wait_for(f"{TOKEN} && {TOKEN}.dataset.playgroundToken !== '{first}'")
+        arm.tip_of('/right/joint_states')
+        page.wait_for(f'{FIGURES} && {FIGURES}.innerText.includes("desired")')
+
+        def tip():
+            return arm.tip_of('/right/joint_states')
+
+        choose(page, 'left', 'right')
+        page.wait_for(f'{FIGURES}.innerText.includes("desired")')
+        before = tip()
+        hold(arm, page, 'KeyQ', lambda: tip()[2] > before[2] + 0.02, 'motion of the right arm')
+        assert not page.errors
+
+
+def choose(page, shown, wanted):
+    """Choose from a list that shows something by now."""
+    x, y = page.value(f"""(() => {{
+        const list = [...document.querySelectorAll('input')].find(
+            (input) => input.value === '{shown}' && input.offsetParent);
+        list.scrollIntoView({{block: 'center'}});
+        const {{x, y, width, height}} = list.getBoundingClientRect();
+        return [x + width / 2, y + height / 2];
+    }})()""")
+    page.click(x, y)
+    option = f"""[...document.querySelectorAll('[role=option]')].find(
+        (option) => option.innerText.trim() === '{wanted}')"""
+    page.wait_for(option)
+    page.value(f'{option}.click()')
 
 
 def press(page, words):
