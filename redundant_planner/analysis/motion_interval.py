@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -38,12 +40,28 @@ def motion_interval(curves: Curves) -> tuple[float, float]:
     return float(times.min()), float(times.max())
 
 
+def command_begin(curves: Curves) -> float:
+    """Return when the tip's command began [s], from which the report counts time.
+
+    Two recordings of one command lie above each other so. Without a command it is the motion.
+    """
+    commanded = curves.times[np.isfinite(curves.scale)]
+    return float(commanded.min()) if len(commanded) else motion_interval(curves)[0]
+
+
 def shown_interval(curves: Curves) -> tuple[float, float]:
     """Return the motion's interval [s] with a margin on either side, within the recording."""
     begin, end = motion_interval(curves)
     margin = max(_MARGIN * (end - begin), _LEAST_MARGIN)
     return (max(begin - margin, float(curves.times.min())),
             min(end + margin, float(curves.times.max())))
+
+
+def shown_together(several: Sequence[Curves]) -> tuple[float, float]:
+    """Return what of several recordings is shown, from the begin of the command of each [s]."""
+    shown = np.array([np.array(shown_interval(curves)) - command_begin(curves)
+                      for curves in several])
+    return float(shown[:, 0].min()), float(shown[:, 1].max())
 
 
 def at_rest(velocities: Array, largest: Array) -> bool:

@@ -11,13 +11,16 @@ from typing import Any
 
 from plotly.offline import get_plotlyjs
 
+from redundant_planner.analysis.motion_interval import shown_together
 from redundant_planner.analysis.report_data import MOST_JOINTS, page_data
 from redundant_planner.analysis.report_figures import write_figures
 from redundant_planner.analysis.report_tables import (
     comparison_html,
     facts_html,
+    joint_columns,
     joints_html,
     motion_html,
+    peak_columns,
 )
 from redundant_planner.analysis.report_template import PAGE
 from redundant_planner.analysis.report_tiles import tiles_html, tiles_of
@@ -50,9 +53,11 @@ def write_report(folder: Path, analyses: list[Analysis]) -> Path:
 def page_of(analyses: Sequence[Analysis]) -> str:
     """Return the page of one or more analyses as HTML."""
     names = [analysis.name for analysis in analyses]
-    views = [view_of(analysis) if analysis.robot is not None else None for analysis in analyses]
+    shown = shown_together([analysis.curves for analysis in analyses])
+    views = [view_of(analysis, shown) if analysis.robot is not None else None
+             for analysis in analyses]
     body = (facts_html(analyses) + tiles_html(names, [tiles_of(one) for one in analyses])
-            + _notes(analyses, views) + _view_section(analyses) + _curve_section(analyses)
+            + _notes(analyses, views) + _motion_section(analyses) + _curve_section(analyses)
             + _table_section(analyses))
     texts = {'TITLE': escape(f'Motion report: {" and ".join(names)}'), 'BODY': body,
              'PLOTLY': get_plotlyjs(), 'DATA': _for_script(page_data(analyses, views))}
@@ -85,43 +90,51 @@ def _notes(analyses: Sequence[Analysis], views: Sequence[dict[str, Any] | None])
     return f'<ul class="notes">{items}</ul>' if items else ''
 
 
-def _view_section(analyses: Sequence[Analysis]) -> str:
+def _motion_section(analyses: Sequence[Analysis]) -> str:
+    """Return the 3-D views beside the curves of the whole arm."""
     views = ''.join(
         '<div>' + (_bag_title(i, analysis.name) if len(analyses) > 1 else '')
         + f'<div class="view" id="view{i}"></div>'
         f'<img class="picture on-paper" id="picture{i}" alt="the arm and the obstacles"></div>'
         for i, analysis in enumerate(analyses) if analysis.robot is not None)
-    if not views:
-        return ''
-    legend = ''.join(
-        f'<span><i class="swatch" style="background: var(--{color})"></i>{what}</span>'
-        for color, what in (('bone', 'arm'), ('arm', 'shapes of its links'),
-                            ('obstacle', 'obstacles'), ('path', 'path of the tip'),
-                            ('ghost', 'posture at the start')))
-    return (f'<h2>The motion</h2><p class="legend">{legend}</p><div class="views">{views}</div>')
+    several = ' several' if len(analyses) > 1 else ''
+    return ('<h2>The motion</h2><p class="lead">Time counts from the begin of the command. Press '
+            'on a curve to see the arm at that moment. The number beside a title is the value '
+            f'there.</p>{_legend(analyses)}<div class="motion{several}">'
+            f'<div class="views">{views}</div><div class="charts" id="charts-arm"></div></div>')
+
+
+def _legend(analyses: Sequence[Analysis]) -> str:
+    """Return what colours and lines stand for."""
+    shown = ''
+    if any(analysis.robot is not None for analysis in analyses):
+        shown = ''.join(
+            f'<span><i class="swatch" style="background: var(--{color})"></i>{what}</span>'
+            for color, what in (('bone', 'arm'), ('arm', 'shapes of its links'),
+                                ('obstacle', 'obstacles'), ('path', 'path of the tip'),
+                                ('ghost', 'posture at the start')))
+    lines = [('curve measured s0', 'measured'), ('limit', 'limit')]
+    if _commanded(analyses):
+        lines.insert(0, ('curve commanded s0', 'commanded'))
+    shown += ''.join(
+        f'<span><svg width="30" height="8"><line class="{style}" x1="0" x2="30" y1="4" '
+        f'y2="4"/></svg>{what}</span>' for style, what in lines)
+    if len(analyses) > 1:
+        shown += ''.join(f'<span>{_bag_title(i, analysis.name)}</span>'
+                         for i, analysis in enumerate(analyses))
+    return f'<p class="legend">{shown}</p>'
 
 
 def _curve_section(analyses: Sequence[Analysis]) -> str:
-    told = any(analysis.commanded is not None for analysis in analyses)
-    lines = [('commanded', 'commanded')] if told else []
-    lines += [('measured', 'measured'), ('limit', 'limit')]
-    legend = ''.join(
-        f'<span><svg width="30" height="8"><line class="curve {style} s0" x1="0" x2="30" y1="4" '
-        f'y2="4"/></svg>{what}</span>' for style, what in lines)
-    if len(analyses) > 1:
-        legend += ''.join(f'<span>{_bag_title(i, analysis.name)}</span>'
-                          for i, analysis in enumerate(analyses))
-    # Accelerations of measured motions are differences of noisy velocities.
-    return ('<h2>Curves</h2><p class="lead">Time counts from the begin of the motion. Press on a '
-            'curve to see the arm at that moment. The number beside a title is the value there.'
-            f'</p><p class="legend">{legend}</p>'
-            '<div class="charts wide" id="charts-arm"></div>'
-            + ''.join(f'<h3>{title}</h3><div class="charts" id="charts-{group}"></div>'
-                      for group, title in (
-                          ('position', 'Joint positions, measured'),
-                          ('velocity', 'Joint velocities'),
-                          ('acceleration', 'Joint accelerations, '
-                           + ('commanded' if told else 'measured')))))
+    kind = 'commanded' if _commanded(analyses) else 'measured'
+    return '<h2>Joints over time</h2>' + ''.join(
+        f'<h3>{title}</h3><div class="charts" id="charts-{group}"></div>'
+        for group, title in (('position', 'Positions, measured'), ('velocity', 'Velocities'),
+                             ('acceleration', f'Accelerations, {kind}')))
+
+
+def _commanded(analyses: Sequence[Analysis]) -> bool:
+    return any(analysis.commanded is not None for analysis in analyses)
 
 
 def _table_section(analyses: Sequence[Analysis]) -> str:
@@ -129,7 +142,8 @@ def _table_section(analyses: Sequence[Analysis]) -> str:
     tables = f'<h2>{title}</h2>{motion_html(analyses)}'
     for i, analysis in enumerate(analyses):
         bag = f': {_bag_title(i, analysis.name)}' if len(analyses) > 1 else ''
-        tables += f'<h2>Joints{bag}</h2>{joints_html(analysis)}'
+        tables += (f'<h2>Joints{bag}</h2>{joints_html(analysis, joint_columns(analysis))}'
+                   f'<h3>Peaks</h3>{joints_html(analysis, peak_columns(analysis))}')
     if len(analyses) > 1:
         tables += f'<h2>Joints, and differences</h2>{comparison_html(analyses)}'
     return tables

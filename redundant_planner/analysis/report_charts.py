@@ -9,7 +9,8 @@ CHARTS = """
 const root = document.documentElement, byId = id => document.getElementById(id);
 const numbers = text => new Float32Array(Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer);
 const bags = REPORT.bags.map(bag => Object.assign({}, bag, {time: numbers(bag.time)}));
-const state = {whole: false, limits: false, now: 0, playing: null};
+const state = {whole: false, limits: false, playing: null,
+               now: Math.min(...bags.map(bag => bag.motion[0]))};
 const range = () => {
   const key = state.whole ? 'whole' : 'shown';
   return [Math.min(...bags.map(b => b[key][0])), Math.max(...bags.map(b => b[key][1]))];
@@ -49,7 +50,7 @@ function verticalRange(chart, t0, t1) {
   const spare = chart.panel.least - (high - low);
   if (spare > 0) { low -= spare / 2; high += spare / 2; }
   const span = high - low;
-  for (const limit of chart.panel.limits) {
+  for (const {at: limit} of chart.panel.limits) {
     const wide = Math.max(high, limit) - Math.min(low, limit);
     if (state.limits || span >= 0.2 * wide) {
       low = Math.min(low, limit); high = Math.max(high, limit);
@@ -67,7 +68,7 @@ function draw(chart) {
   const line = (name, x0, y0, x1, y1) =>
     `<line class="${name}" x1="${x0}" y1="${y0}" x2="${x1}" y2="${y1}"/>`;
   let drawn = '';
-  const levels = ticks(low, high, 3), moments = ticks(t0, t1, width / 80);
+  const levels = ticks(low, high, 3), moments = ticks(t0, t1, width / 60);
   for (const v of levels.at)
     drawn += line(Math.abs(v) < 1e-12 ? 'zero' : 'grid', WIDE, y(v), width - RIGHT, y(v))
       + `<text x="${WIDE - 5}" y="${y(v) + 3.5}" text-anchor="end">`
@@ -75,16 +76,15 @@ function draw(chart) {
   for (const t of moments.at)
     drawn += `<text x="${x(t)}" y="${TALL - 4}" text-anchor="middle">`
       + `${shown(t, moments.digits)} s</text>`;
-  chart.panel.limits.forEach(limit => {
-    if (limit < low || limit > high) return;
-    const above = limit > (low + high) / 2, edge = above ? HIGH : TALL - LOW;
-    if (chart.both || chart.panel.limits.length === 1)
-      drawn += `<rect class="over" x="${WIDE}" width="${width - WIDE - RIGHT}" `
-        + `y="${Math.min(edge, y(limit))}" height="${Math.abs(edge - y(limit))}"/>`;
-    drawn += line('limit', WIDE, y(limit), width - RIGHT, y(limit))
-      + `<text class="limit-text" x="${width - RIGHT}" text-anchor="end" `
-      + `y="${y(limit) + (above ? 11 : -4)}">limit</text>`;
-  });
+  for (const limit of chart.panel.limits) {
+    if (limit.at < low || limit.at > high) continue;
+    const level = y(limit.at), edge = limit.side > 0 ? HIGH : TALL - LOW;
+    drawn += `<rect class="over" x="${WIDE}" width="${width - WIDE - RIGHT}" `
+      + `y="${Math.min(edge, level)}" height="${Math.abs(edge - level)}"/>`
+      + line('limit', WIDE, level, width - RIGHT, level)
+      + `<text class="limit-text" x="${(WIDE + width - RIGHT) / 2}" text-anchor="middle" `
+      + `y="${level + (level < 30 ? 11 : -4)}">${limit.label}</text>`;
+  }
   for (const curve of chart.curves) {
     const time = bags[curve.bag].time;
     let path = '', down = false;
@@ -93,7 +93,7 @@ function draw(chart) {
       if (inside) path += (down ? 'L' : 'M') + x(time[i]).toFixed(1) + ' ' + y(v).toFixed(1);
       down = inside;
     });
-    drawn += `<path class="curve s${curve.bag % 6} ${curve.look}" d="${path}"/>`;
+    drawn += `<path class="curve s${curve.bag % 6} ${curve.style}" d="${path}"/>`;
   }
   chart.svg.setAttribute('viewBox', `0 0 ${width} ${TALL}`);
   chart.svg.innerHTML = drawn + line('now', 0, HIGH, 0, TALL - LOW);
@@ -106,9 +106,12 @@ function mark(chart, at) {
   const place = chart.x(at), [t0, t1] = range();
   chart.cursor.setAttribute('transform', `translate(${place} 0)`);
   chart.cursor.style.display = at < t0 || at > t1 ? 'none' : '';
-  const values = chart.curves.filter(c => c.look !== 'measured under').map(c => {
+  const told = chart.curves.some(c => c.style === 'commanded') ? 'commanded' : 'measured';
+  const values = chart.curves.filter(c => c.style === told).map(c => {
     const value = c.values[sample(bags[c.bag].time, at)];
-    return isFinite(value) ? Number(value.toPrecision(3)).toString().replace('-', '\\u2212') : '\\u2013';
+    if (!isFinite(value)) return '\\u2013';
+    return (Math.abs(value) < 1e-6 ? '0' : `${Number(value.toPrecision(3))}`)
+      .replace('-', '\\u2212');
   });
   chart.read.textContent = values.join(' | ');
 }
@@ -125,14 +128,10 @@ function newChart(panel) {
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
   box.append(head, svg);
   byId('charts-' + panel.group).append(box);
-  const styles = new Set(panel.curves.map(c => c.style));
   // Measured curves lie as broad dashes below the commanded ones.
-  const curves = panel.curves.map(c => Object.assign({}, c, {
-    values: numbers(c.values),
-    look: styles.size > 1 && c.style === 'measured' ? 'measured under'
-      : c.style === 'measured' && panel.group === 'arm' ? 'measured only' : c.style}));
-  curves.sort((a, b) => (b.look === 'measured under') - (a.look === 'measured under'));
-  const chart = {panel, box, svg, read, curves, both: panel.group !== 'arm'};
+  const curves = panel.curves.map(c => Object.assign({}, c, {values: numbers(c.values)}));
+  curves.sort((a, b) => (b.style === 'measured') - (a.style === 'measured'));
+  const chart = {panel, box, svg, read, curves};
   const at = event => {
     const place = svg.getBoundingClientRect();
     return chart.time((event.clientX - place.left) * svg.viewBox.baseVal.width / place.width);
@@ -187,6 +186,6 @@ byId('limits').onchange = event => { state.limits = event.target.checked; drawAl
 let drawnWidth = 0;
 new ResizeObserver(() => {
   const width = document.body.clientWidth;
-  if (width !== drawnWidth) { drawnWidth = width; drawAll(); }
+  if (width !== drawnWidth) { drawnWidth = width; requestAnimationFrame(drawAll); }
 }).observe(document.body);
 """

@@ -9,7 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis.joint_units import joint_units, UNKNOWN
-from redundant_planner.analysis.motion_interval import motion_interval, shown_interval
+from redundant_planner.analysis.motion_interval import (
+    command_begin,
+    motion_interval,
+    shown_together,
+)
 from redundant_planner.analysis.report_figures import accelerations_of, velocities_of
 from redundant_planner.analysis.report_numbers import number_text
 from redundant_planner.analysis.report_tiles import PATH_ERROR_LIMIT
@@ -30,26 +34,34 @@ _LEAST_OF_JOINTS = {'position': 0.01, 'velocity': 0.01, 'acceleration': 0.1}
 def page_data(
     analyses: Sequence[Analysis], views: Sequence[dict[str, Any] | None],
 ) -> dict[str, Any]:
-    """Return what the page's script draws; times count from the begin of each motion [s]."""
-    samples = [drawn_samples(analysis) for analysis in analyses]
+    """Return what the page's script draws; times count from the begin of each command [s]."""
+    shown = shown_together([analysis.curves for analysis in analyses])
+    samples = [drawn_samples(analysis, shown) for analysis in analyses]
     bags = []
     for analysis, chosen, view in zip(analyses, samples, views):
         times = analysis.curves.times
-        begin, end = motion_interval(analysis.curves)
-        shown = shown_interval(analysis.curves)
+        begin = command_begin(analysis.curves)
+        motion = motion_interval(analysis.curves)
         bags.append({
             'name': analysis.name, 'time': packed_numbers(times[chosen] - begin),
-            'motion': [0.0, end - begin], 'shown': [time - begin for time in shown],
+            'motion': [time - begin for time in motion],
+            'shown': list(shown),
             'whole': [float(times.min()) - begin, float(times.max()) - begin], 'view': view})
     return {'bags': bags, 'panels': [*_arm_panels(analyses, samples),
                                      *_joint_panels(analyses, samples)]}
 
 
-def drawn_samples(analysis: Analysis) -> npt.NDArray[np.intp]:
-    """Return which samples of the curves are drawn, (k,): most of them of the motion."""
-    times = analysis.curves.times
-    begin, end = shown_interval(analysis.curves)
-    moving = np.flatnonzero((times >= begin) & (times <= end))
+def drawn_samples(
+    analysis: Analysis, shown: tuple[float, float],
+) -> npt.NDArray[np.intp]:
+    """Return which samples of the curves are drawn, (k,): most of them of the motion.
+
+    Args:
+        analysis: of a bag.
+        shown: from when to when, from the begin of the command [s].
+    """
+    times = analysis.curves.times - command_begin(analysis.curves)
+    moving = np.flatnonzero((times >= shown[0]) & (times <= shown[1]))
     return np.union1d(
         moving[np.linspace(0, len(moving) - 1, _IN_MOTION).astype(int)],
         np.linspace(0, len(times) - 1, _AROUND).astype(int)).astype(np.intp)
@@ -58,15 +70,15 @@ def drawn_samples(analysis: Analysis) -> npt.NDArray[np.intp]:
 def _arm_panels(
     analyses: Sequence[Analysis], samples: Sequence[npt.NDArray[np.intp]],
 ) -> list[dict[str, Any]]:
-    margins = [1e3 * analysis.facts.margin for analysis in analyses
-               if analysis.facts.margin is not None]
+    margins = {1e3 * analysis.facts.margin for analysis in analyses
+               if analysis.facts.margin is not None}
     found = []
     for title, unit, limits, values in (
-            ('Smallest clearance', 'mm', sorted({0.0, *margins}),
+            ('Smallest clearance', 'mm', [_limit(0.0, -1, 'contact'), *(_limit(one, -1, 'margin') for one in margins)],
              [1e3 * analysis.curves.clearance for analysis in analyses]),
-            ('Tip off its path', 'mm', [PATH_ERROR_LIMIT],
+            ('Tip off its path', 'mm', [_limit(PATH_ERROR_LIMIT, 1)],
              [1e3 * analysis.curves.path_error for analysis in analyses]),
-            ('Commanded twist that is followed', '%', [100.0],
+            ('Commanded twist that is followed', '%', [],
              [100.0 * analysis.curves.scale for analysis in analyses])):
         curves = [{'bag': i, 'style': 'measured', 'values': packed_numbers(
                        np.where(np.isfinite(one), one, np.nan)[chosen])}
@@ -97,8 +109,8 @@ def _joint_panels(
             limits = _limits(first, group, i)
             note = f'peak {" and ".join(peaks)}' if peaks else ''
             if limits:
-                told = (f'{number_text(limits[0])} to {number_text(limits[1])}'
-                        if group == 'position' else f'±{number_text(limits[1])}')
+                told = (f'{number_text(limits[0]["at"])} to {number_text(limits[1]["at"])}'
+                        if group == 'position' else f'±{number_text(limits[1]["at"])}')
                 note += f'{", " if note else ""}limit {told}'
             found.append({'group': group, 'title': name, 'unit': f'{units[i]}{per}',
                           'limits': limits, 'least': _LEAST_OF_JOINTS[group], 'note': note,
@@ -119,7 +131,12 @@ def _peak(analysis: Analysis, group: str, joint: int) -> float:
     return float(getattr(analysis.joints, f'peak_{group}')[joint])
 
 
-def _limits(analysis: Analysis, group: str, joint: int) -> list[float]:
+def _limit(at: float, side: int, label: str = 'limit') -> dict[str, Any]:
+    """Return a limit as the script draws it, with what is beyond it above (1) or below (-1)."""
+    return {'at': at, 'side': side, 'label': label}
+
+
+def _limits(analysis: Analysis, group: str, joint: int) -> list[dict[str, Any]]:
     robot = analysis.robot
     if robot is None:
         return []
@@ -128,4 +145,6 @@ def _limits(analysis: Analysis, group: str, joint: int) -> list[float]:
     else:
         largest = float(getattr(robot, f'{group}_max')[joint])
         limits = [-largest, largest]
-    return limits if all(np.isfinite(limits)) else []
+    if not np.isfinite(limits).all():
+        return []
+    return [_limit(limits[0], -1), _limit(limits[1], 1)]

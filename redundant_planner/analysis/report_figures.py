@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis.figures import joint_curves, motion_picture
-from redundant_planner.analysis.motion_interval import motion_interval, shown_interval
+from redundant_planner.analysis.motion_interval import command_begin, shown_interval
 from redundant_planner.analysis.report_view import nearest_obstacles
 from redundant_planner.analysis.results import Analysis, Curves, scene_at
 from redundant_planner.analysis.style import LINE_STYLES
@@ -29,7 +29,7 @@ def write_figures(
     """Write the figures of an analysis to a folder."""
     curves, robot = analysis.curves, analysis.robot
     chosen = _motion_samples(curves)
-    times = curves.times[chosen] - motion_interval(curves)[0]
+    times = curves.times[chosen] - command_begin(curves)
     names, title = analysis.joint_names[:_DIAGRAMS], f"'{analysis.name}'"
     if len(names) < len(analysis.joint_names):
         title += f': the first {len(names)} of {len(analysis.joint_names)} joints'

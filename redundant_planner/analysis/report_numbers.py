@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 
+# What is less is round-off, in any unit that the report shows.
+_NOTHING = 1e-6
+
 
 def number_text(value: float | None, digits: int = 3) -> str:
     """Return a number with so many significant digits, a dash for one that is not known."""
     if value is None or not math.isfinite(value):
         return '–'
-    if value == 0.0:
+    if abs(value) < _NOTHING:
         return '0'
     places = digits - 1 - math.floor(math.log10(abs(value)))
     if places > digits + 3 or places < -6:
@@ -25,7 +28,7 @@ def difference_text(base: float, other: float) -> str:
     sign = '+' if change > 0.0 else ''
     if not math.isfinite(change):
         return '–'
-    if abs(change) < 1e-9 * max(abs(base), abs(other), 1e-3):
+    if abs(change) < _NOTHING:
         return '±0'
     return f'{sign}{number_text(change)}'
 
@@ -34,7 +37,8 @@ def share_text(base: float, other: float) -> str:
     """Return by how many percent a number changed; a dash where there was nothing."""
     if not math.isfinite(base) or not math.isfinite(other) or abs(base) < 1e-9:
         return '–'
-    return f'{100.0 * (other - base) / abs(base):+.1f}'.replace('-', '−')
+    text = f'{100.0 * (other - base) / abs(base):+.1f}'
+    return '±0' if float(text) == 0.0 else text.replace('-', '−')
 
 
 def _raised(exponent: int) -> str:

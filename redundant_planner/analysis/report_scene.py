@@ -57,8 +57,8 @@ function newView(view) {
     return {
       margin: {l: 0, r: 0, t: 0, b: 0}, showlegend: false, uirevision: 'same',
       paper_bgcolor: 'rgba(0,0,0,0)', font: {color: color('--muted')},
-      scene: {aspectmode: 'manual', camera: camera || {eye: {x: 1.35, y: -1.3, z: 0.55},
-                center: {x: 0, y: 0, z: -0.05}},
+      scene: {aspectmode: 'manual', camera: camera || {eye: {x: 1.1, y: -1.05, z: 0.4},
+                center: {x: 0, y: 0, z: -0.04}},
               aspectratio: {x: sides[0] / longest, y: sides[1] / longest, z: sides[2] / longest},
               xaxis: axisOf('x', 0), yaxis: axisOf('y', 1), zaxis: axisOf('z', 2)}};
   };

@@ -32,7 +32,7 @@ button { background: var(--card); border: 1px solid var(--rule); border-radius: 
 button:focus-visible, input:focus-visible { outline: 2px solid var(--s0); outline-offset: 2px; }
 
 .tiles { list-style: none; margin: 24px 0 0; padding: 0; display: grid; gap: 12px;
-  grid-template-columns: repeat(auto-fill, minmax(min(100%, 200px), 1fr)); }
+  grid-template-columns: repeat(auto-fill, minmax(min(100%, 240px), 1fr)); }
 .tile { background: var(--card); border-radius: 8px; border-left: 4px solid var(--rule);
   padding: 12px 14px; min-width: 0; }
 .tile.good { border-left-color: var(--good); } .tile.bad { border-left: 4px double var(--bad);
@@ -54,14 +54,20 @@ td, th { padding: 4px 12px; text-align: right; border-bottom: 1px solid var(--ru
   white-space: nowrap; font-weight: 400; }
 thead th { color: var(--muted); font-weight: 600; vertical-align: bottom; white-space: normal;
   min-width: 84px; } th:first-child { text-align: left; padding-left: 0; }
+.groups th { text-align: center; border-bottom: 0; padding-top: 0; }
 .units td, .units th, .unit { color: var(--muted); font-size: .8rem; }
 .units th { font-weight: 600; padding-top: 14px; } .beyond { color: var(--bad); font-weight: 700; }
 .facts { margin-top: 16px; } .facts td { text-align: left; white-space: normal; }
+.facts tr:first-child th { text-align: left; }
 .facts td, .facts th { border: 0; padding: 2px 24px 2px 0; vertical-align: top; }
 .facts th[scope=row] { color: var(--muted); min-width: 0; }
 .notes { margin: 20px 0 0; padding: 10px 14px 10px 32px; border-left: 4px solid var(--s4);
   background: var(--card); border-radius: 8px; font-size: .88rem; overflow-wrap: anywhere; }
 
+.motion { display: grid; gap: 8px 28px; } .motion .charts { align-content: start; }
+@media screen and (min-width: 900px) { .motion:not(.several) { grid-template-columns: 5fr 3fr; }
+  .motion:not(.several) .charts { grid-template-columns: 1fr; } }
+.views:empty { display: none; } .motion:not(.several):has(.views:empty) { display: block; }
 .views { display: grid; gap: 12px; grid-template-columns: repeat(auto-fit,
   minmax(min(100%, 420px), 1fr)); }
 .views > div { min-width: 0; } .view { width: 100%; height: min(68vh, 540px); }
@@ -72,7 +78,6 @@ thead th { color: var(--muted); font-weight: 600; vertical-align: bottom; white-
   vertical-align: -1px; margin-right: 6px; }
 .charts { display: grid; gap: 18px 20px; grid-template-columns: repeat(auto-fill,
   minmax(min(100%, 250px), 1fr)); }
-.charts.wide { grid-template-columns: repeat(auto-fill, minmax(min(100%, 340px), 1fr)); }
 .chart { min-width: 0; margin: 0; } .chart figcaption { font-size: .82rem; line-height: 1.35;
   display: grid; grid-template-columns: minmax(0, 1fr) auto; column-gap: 8px; }
 .chart b { overflow: hidden; text-overflow: ellipsis; white-space: nowrap; font-weight: 600; }
@@ -83,8 +88,8 @@ thead th { color: var(--muted); font-weight: 600; vertical-align: bottom; white-
 .limit { stroke: var(--limit); stroke-width: 1.2; } .over { fill: var(--limit); opacity: .08; }
 .chart .limit-text { fill: var(--limit); }
 .curve { fill: none; stroke: var(--c); stroke-linejoin: round; }
-.commanded { stroke-width: 1.6; } .measured { stroke-width: 1.6; stroke-dasharray: 5 3; }
-.under { stroke-width: 4; stroke-dasharray: 6 4; opacity: .45; } .only { stroke-dasharray: none; }
+.commanded { stroke-width: 1.5; }
+.measured { stroke-width: 3.2; stroke-dasharray: 6 3; opacity: .5; }
 
 .bar { position: sticky; bottom: 0; z-index: 2; background: var(--paper); margin-top: 24px;
   border-top: 1px solid var(--rule); padding: 10px 0; display: flex; flex-wrap: wrap;

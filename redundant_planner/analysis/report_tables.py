@@ -18,27 +18,44 @@ from redundant_planner.analysis.results import Analysis
 Array = npt.NDArray[np.float64]
 
 _NOT_RECORDED = 'not recorded'
-# Measure of the whole motion → its title and unit.
+
+
+class Measure(NamedTuple):
+    """A measure of the whole motion: its title, its unit, and how many of it make one."""
+
+    title: str
+    unit: str
+    scale: float = 1.0
+
+
 _MOTION = {
-    'joint_path': ('Joint path, all joints', 'rad + m'),
-    'effort': ('∫q̇ᵀq̇ dt', 'rad²/s + m²/s'),
-    'tool_path_m': ('Path of the tip', 'm'),
-    'largest_path_error_mm': ('Tip off its path, at most', 'mm'),
-    'smallest_distance_mm': ('Smallest clearance', 'mm'),
-    'smallest_clearance_level': ('Smallest level S (Eq. 6)', '1'),
-    'twist_scale_mean': ('Commanded twist that was followed, mean', '1'),
-    'factor_k_mean': ('Factor k (Eq. 2), mean', '1'),
-    'command_period_median_ms': ('Command period, median', 'ms'),
-    'command_period_p99_ms': ('Command period, 99 of 100 within', 'ms'),
-    'command_period_longest_ms': ('Command period, longest', 'ms')}
+    'joint_path': Measure('Joint path, all joints', 'rad + m'),
+    'effort': Measure('∫q̇ᵀq̇ dt', 'rad²/s + m²/s'),
+    'tool_path_m': Measure('Path of the tip', 'm'),
+    'largest_path_error_mm': Measure('Tip off its path, at most', 'mm'),
+    'smallest_distance_mm': Measure('Smallest clearance', 'mm'),
+    'smallest_clearance_level': Measure('Smallest level S (Eq. 6)', '–'),
+    'twist_scale_mean': Measure('Commanded twist that was followed, mean', '%', 100.0),
+    'factor_k_mean': Measure('Factor k (Eq. 2), mean', '–'),
+    'command_period_median_ms': Measure('Command period, median', 'ms'),
+    'command_period_p99_ms': Measure('Command period, 99 of 100 within', 'ms'),
+    'command_period_longest_ms': Measure('Command period, longest', 'ms')}
 
 
 class Column(NamedTuple):
-    """A column of the joints' table: a title, the unit where a joint's is `u`, and values (n,)."""
+    """A column of the joints' table.
+
+    Attributes:
+        title: its name.
+        unit: where a joint's own is `u`.
+        values: (n,).
+        group: that it belongs to, empty for none.
+    """
 
     title: str
     unit: str
     values: Array
+    group: str = ''
 
 
 def facts_html(analyses: Sequence[Analysis]) -> str:
@@ -83,23 +100,33 @@ def joint_columns(analysis: Analysis) -> list[Column]:
     if not (starts_at_rest and at_rest(joints.velocity_change, largest)):
         columns += [Column('velocity change', 'u/s', joints.velocity_change),
                     Column('acceleration change', 'u/s²', joints.acceleration_change)]
-    columns.append(Column('peak velocity, measured', 'u/s', joints.peak_velocity))
-    if told is None:
-        columns.append(Column('peak acceleration, measured', 'u/s²', joints.peak_acceleration))
-    for kind, unit in (('velocity', 'u/s'), ('acceleration', 'u/s²'), ('jerk', 'u/s³')):
-        peaks = getattr(told, kind) if told is not None else None
-        if peaks is not None:
-            columns.append(Column(f'peak {kind}, commanded', unit, peaks))
-        limits = getattr(robot, f'{kind}_max') if robot is not None else None
-        if peaks is not None and limits is not None and np.isfinite(limits).any():
-            columns += [Column(f'{kind} limit', unit, limits),
-                        Column(f'share of the {kind} limit', '%', 100.0 * peaks / limits)]
     return columns
 
 
-def joints_html(analysis: Analysis) -> str:
-    """Return the measures of every joint, joints of a unit together."""
-    columns, units = joint_columns(analysis), joint_units(analysis)
+def peak_columns(analysis: Analysis) -> list[Column]:
+    """Return the columns of the table of peaks, in groups, each beside its limit."""
+    joints, told, robot = analysis.joints, analysis.commanded, analysis.robot
+    columns = [Column('measured', 'u/s', joints.peak_velocity, 'velocity')]
+    if told is None:
+        # Beside commands it would say more of noise than of the motion.
+        columns.append(Column('measured', 'u/s²', joints.peak_acceleration, 'acceleration'))
+        return columns
+    for kind, unit in (('velocity', 'u/s'), ('acceleration', 'u/s²'), ('jerk', 'u/s³')):
+        peaks = getattr(told, kind)
+        columns.append(Column('commanded', unit, peaks, kind))
+        limits = getattr(robot, f'{kind}_max') if robot is not None else None
+        if limits is not None and np.isfinite(limits).any():
+            columns += [Column('limit', unit, limits, kind),
+                        Column('share', '%', 100.0 * peaks / limits, kind)]
+    return columns
+
+
+def joints_html(analysis: Analysis, columns: Sequence[Column]) -> str:
+    """Return measures of every joint, joints of a unit together."""
+    units = joint_units(analysis)
+    groups = ''.join(
+        f'<th scope="colgroup" colspan="{sum(one.group == group for one in columns)}">{group}</th>'
+        for group in dict.fromkeys(column.group for column in columns) if group)
     head = ''.join(f'<th scope="col">{column.title}</th>' for column in columns)
     body = ''
     for unit in dict.fromkeys(units):
@@ -110,8 +137,9 @@ def joints_html(analysis: Analysis) -> str:
             cells = ''.join(_cell(column, i) for column in columns)
             body += f'<tr><th scope="row">{escape(analysis.joint_names[i])}</th>{cells}</tr>'
         body += '</tbody>'
-    return (f'<div class="scroll"><table><thead><tr><th scope="col">joint</th>{head}</tr></thead>'
-            f'{body}</table></div>')
+    above = f'<tr class="groups"><th></th>{groups}</tr>' if groups else ''
+    return (f'<div class="scroll"><table><thead>{above}<tr><th scope="col">joint</th>{head}</tr>'
+            f'</thead>{body}</table></div>')
 
 
 def _cell(column: Column, joint: int) -> str:
@@ -125,8 +153,8 @@ def motion_html(analyses: Sequence[Analysis]) -> str:
     """Return the measures of whole motions, and the difference of each bag to the first."""
     columns = [motion_measures(analysis) for analysis in analyses]
     rows = ''
-    for key, (title, unit) in _MOTION.items():
-        values = [column[key] for column in columns]
+    for key, (title, unit, scale) in _MOTION.items():
+        values = [None if column[key] is None else scale * column[key] for column in columns]
         if all(value is None for value in values):
             continue
         rows += (f'<tr><th scope="row">{title}</th>{_compared(values)}'
@@ -180,4 +208,4 @@ def _compared(values: Sequence[float | None]) -> str:
 
 
 def _bag_head(index: int, name: str) -> str:
-    return f'<i class="key s{index}">{chr(65 + index % 26)}</i> {escape(name)}'
+    return f'<i class="key s{index % 6}">{chr(65 + index % 26)}</i> {escape(name)}'

@@ -135,7 +135,7 @@ def _tile_html(title: str, names: Sequence[str], tiles: Sequence[Tile | None]) -
     for i, other in enumerate(tiles[1:], 1):
         if (first is not None and other is not None and first.value is not None
                 and other.value is not None):
-            body += (f'<p class="difference">{_key(i, names)}'
+            body += (f'<p class="difference">{chr(65 + i % 26)} − A: '
                      f'{difference_text(first.value, other.value)} {other.unit}</p>')
     return f'<li class="tile {kind}"><h3>{escape(title)}</h3>{body}</li>'
 
@@ -144,7 +144,7 @@ def _key(index: int, names: Sequence[str]) -> str:
     """Return the mark that stands for a bag, where there are several."""
     if len(names) == 1:
         return ''
-    return f'<i class="key s{index}" title="{escape(names[index])}">{chr(65 + index % 26)}</i> '
+    return f'<i class="key s{index % 6}" title="{escape(names[index])}">{chr(65 + index % 26)}</i> '
 
 
 def _verdict(tile: Tile) -> str:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis.figures import capsule_surface, stretched
-from redundant_planner.analysis.motion_interval import motion_interval, shown_interval
-from redundant_planner.analysis.results import Analysis, Curves, scene_at
+from redundant_planner.analysis.motion_interval import command_begin, motion_interval
+from redundant_planner.analysis.results import Analysis, scene_at
 from redundant_planner.core.obstacles.obstacle import SHAPES
 from redundant_planner.core.obstacles.scene import Scene
 
@@ -28,14 +28,19 @@ _AROUND, _LARGE = 1.5, 1000.0
 _FLAT = 0.35
 
 
-def view_of(analysis: Analysis) -> dict[str, Any]:
+def view_of(analysis: Analysis, shown: tuple[float, float]) -> dict[str, Any]:
     """Return the arm at some postures as grids of points, and its obstacles.
 
-    Times count from the begin of the motion; the view begins with the posture `first`.
+    Times count from the begin of the command; the view begins with the posture `first`.
+
+    Args:
+        analysis: of a bag with a robot.
+        shown: from when to when, likewise [s].
     """
     robot, curves = analysis.robot, analysis.curves
     assert robot is not None
-    chosen, first = _postures(curves)
+    origin = command_begin(curves)
+    chosen, first = _postures(curves.times - origin, *shown)
     arms = robot.kinematics_along(curves.positions[chosen])
     radii = [max(capsule.radius, 0.005) for capsule in robot.capsules]
     surfaces = np.array([
@@ -44,7 +49,10 @@ def view_of(analysis: Analysis) -> dict[str, Any]:
         for starts, ends in zip(arms.segment_start, arms.segment_end)])
     chains = np.array([np.vstack((np.zeros(3), robot.joint_points(q)))
                        for q in curves.positions[chosen]])
-    scenes = [scene_at(curves, float(time)) for time in curves.times[chosen]]
+    # What comes into view with the command is there from the first posture on.
+    begin = motion_interval(curves)[0]
+    scenes = [scene_at(curves, max(float(time), begin if i >= first else -np.inf))
+              for i, time in enumerate(curves.times[chosen])]
     corners = chains.reshape(-1, 3)
     most = _GRIDS // len({id(scene) for scene in scenes})
     near = {id(scene): nearest_obstacles(scene, corners, most) for scene in scenes}
@@ -69,7 +77,7 @@ def view_of(analysis: Analysis) -> dict[str, Any]:
     half = 0.5 * (extent.max(axis=0) - extent.min(axis=0)) + 0.02
     half = np.maximum(half, _FLAT * half.max())
     return {
-        'times': np.round(curves.times[chosen] - motion_interval(curves)[0], 4).tolist(),
+        'times': np.round(curves.times[chosen] - origin, 4).tolist(),
         'first': first,
         'vertices': packed_numbers(surfaces), 'capsules': len(radii), 'grid': [_RIBS, _SIDES],
         'ball': [_BALL_RIBS, _BALL_SIDES],
@@ -79,14 +87,12 @@ def view_of(analysis: Analysis) -> dict[str, Any]:
         'scene': which, 'range': np.column_stack((middle - half, middle + half)).tolist()}
 
 
-def _postures(curves: Curves) -> tuple[npt.NDArray[np.intp], int]:
-    """Return which samples are shown, (k,), and which of them is the first of the motion."""
-    times = curves.times
-    begin, end = shown_interval(curves)
-    moving = np.flatnonzero((times >= begin) & (times <= end))
-    chosen = np.union1d(moving[np.linspace(0, len(moving) - 1, _POSTURES).astype(int)],
+def _postures(times: Array, begin: float, end: float) -> tuple[npt.NDArray[np.intp], int]:
+    """Return which samples are shown, (k,), and which of them is the first from `begin` on."""
+    inside = np.flatnonzero((times >= begin) & (times <= end))
+    chosen = np.union1d(inside[np.linspace(0, len(inside) - 1, _POSTURES).astype(int)],
                         np.linspace(0, len(times) - 1, _AROUND_MOTION).astype(int))
-    return chosen.astype(np.intp), int(np.searchsorted(chosen, moving[0]))
+    return chosen.astype(np.intp), int(np.searchsorted(chosen, inside[0]))
 
 
 def packed_numbers(values: npt.ArrayLike) -> str:
