@@ -14,7 +14,7 @@ def number_text(value: float | None, digits: int = 3) -> str:
         return '–'
     if abs(value) < _NOTHING:
         return '0'
-    places = digits - 1 - math.floor(math.log10(abs(value)))
+    places = digits - 1 - math.floor(math.log10(abs(float(f'{value:.{digits - 1}e}'))))
     if places > digits + 3 or places < -6:
         mantissa, _, exponent = f'{value:.{digits - 1}e}'.partition('e')
         return f'{mantissa}·10{_raised(int(exponent))}'.replace('-', '−')

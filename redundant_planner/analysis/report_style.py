@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-_LIGHT = """color-scheme: light; --paper: #ffffff; --card: #f6f8fa; --ink: #1c2430; --muted: #5b6675;
-  --rule: #dde2e8; --grid: #e9edf1; --limit: #a3241c; --good: #00694f; --bad: #a3241c;
-  --s0: #0b6bb3; --s1: #c44e12; --s2: #007a5e; --s3: #8f4a9e; --s4: #7a5c00; --s5: #5b6675;
-  --arm: #6f8fb3; --bone: #1f3a5f; --obstacle: #d5703c; --path: #007a5e; --ghost: #98a4b3;"""
+_LIGHT = """color-scheme: light; --paper: #ffffff; --card: #f6f8fa; --ink: #1c2430;
+  --muted: #5b6675; --rule: #dde2e8; --grid: #e9edf1; --limit: #a3241c; --good: #00694f;
+  --bad: #a3241c; --s0: #0b6bb3; --s1: #c44e12; --s2: #007a5e; --s3: #8f4a9e;
+  --s4: #7a5c00; --s5: #5b6675; --arm: #6f8fb3; --bone: #1f3a5f; --obstacle: #d5703c; --path: #007a5e;
+  --ghost: #98a4b3;"""
 _DARK = """color-scheme: dark; --paper: #12161c; --card: #1b212a; --ink: #e6eaf0; --muted: #9aa6b5;
   --rule: #303945; --grid: #262e39; --limit: #ff8f85; --good: #5fd0aa; --bad: #ff8f85;
   --s0: #63b3ed; --s1: #f2935c; --s2: #5fd0aa; --s3: #c996d8; --s4: #dcb94a; --s5: #9aa6b5;
@@ -25,6 +26,7 @@ header { display: flex; justify-content: space-between; align-items: start; gap:
 h1 { font-size: 1.7rem; line-height: 1.2; margin: 0; overflow-wrap: anywhere;
   letter-spacing: -.01em; }
 h2 { font-size: 1.15rem; margin: 40px 0 4px; } h3 { font-size: 1rem; margin: 24px 0 8px; }
+h2, .legend span, .views > div, .facts td { overflow-wrap: anywhere; min-width: 0; }
 p { margin: 0; } .lead { color: var(--muted); margin-bottom: 12px; max-width: 72ch; }
 button, .bar label { font: inherit; color: inherit; }
 button { background: var(--card); border: 1px solid var(--rule); border-radius: 6px;
@@ -89,7 +91,7 @@ thead th { color: var(--muted); font-weight: 600; vertical-align: bottom; white-
 .chart .limit-text { fill: var(--limit); }
 .curve { fill: none; stroke: var(--c); stroke-linejoin: round; }
 .commanded { stroke-width: 1.5; }
-.measured { stroke-width: 3.2; stroke-dasharray: 6 3; opacity: .5; }
+.measured { stroke-width: 3.2; stroke-dasharray: 6 3; opacity: .6; }
 
 .bar { position: sticky; bottom: 0; z-index: 2; background: var(--paper); margin-top: 24px;
   border-top: 1px solid var(--rule); padding: 10px 0; display: flex; flex-wrap: wrap;
@@ -100,11 +102,13 @@ thead th { color: var(--muted); font-weight: 600; vertical-align: bottom; white-
 @media (max-width: 560px) { header, main { padding-left: 14px; padding-right: 14px; }
   .tiles { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 8px; }
   .tile { padding: 10px; } .tile .value b { font-size: 1.3rem; } h1 { font-size: 1.35rem; }
-  .view { height: 300px; } .facts td { padding-right: 0; } }
+  .view { height: 360px; } .facts td { padding-right: 0; } }
 @media print { @page { margin: 14mm; } body { font-size: 10.5pt; }
   .bar, #theme, .view { display: none; } .picture { display: block; }
   header, main { max-width: none; padding: 0; } .scroll { overflow: visible; }
-  table { font-size: 7.4pt; } td, th { padding: 2px 4px; white-space: normal; }
+  .views { grid-template-columns: repeat(auto-fit, minmax(80mm, 1fr)); }
+  figcaption span { display: none; } table { font-size: 7.4pt; }
+  td, th { padding: 2px 4px; white-space: normal; }
   thead th { min-width: 0; } .tiles { grid-template-columns: repeat(4, 1fr); }
   .charts { grid-template-columns: repeat(3, 1fr); } .now { display: none; }
   .tile, .chart, tr, .views > div { break-inside: avoid; } h2, h3 { break-after: avoid; }

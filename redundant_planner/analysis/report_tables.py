@@ -67,8 +67,8 @@ def facts_html(analyses: Sequence[Analysis]) -> str:
         f'<tr><th scope="row">{title}</th>'
         + ''.join(f'<td>{escape(column[title] or _NOT_RECORDED)}</td>' for column in columns)
         + '</tr>' for title in columns[0])
-    return (f'<div class="scroll"><table class="facts">{f"<tr><th></th>{head}</tr>" if head else ""}'
-            f'{rows}</table></div>')
+    above = f'<tr><th></th>{head}</tr>' if head else ''
+    return f'<div class="scroll"><table class="facts">{above}{rows}</table></div>'
 
 
 def facts_of(analysis: Analysis) -> dict[str, str]:
@@ -90,7 +90,7 @@ def joint_columns(analysis: Analysis) -> list[Column]:
 
     The paper's initial velocity and changes are of a motion that begins, or ends, under way.
     """
-    joints, told, robot = analysis.joints, analysis.commanded, analysis.robot
+    joints = analysis.joints
     columns = [Column('displacement', 'u', joints.displacement),
                Column('path ∫|q̇|', 'u', joints.path), Column('∫q̇²', 'u²/s', joints.effort)]
     largest = joints.peak_velocity
@@ -184,7 +184,8 @@ def comparison_html(analyses: Sequence[Analysis]) -> str:
                      f'<td class="unit">{shown}</td></tr>')
         body += '</tbody>'
     return (f'<div class="scroll"><table><thead><tr><th scope="col">joint</th>'
-            f'{_compared_head(analyses)}<th scope="col">unit</th></tr></thead>{body}</table></div>')
+            f'{_compared_head(analyses)}<th scope="col">unit</th></tr></thead>{body}</table>'
+            '</div>')
 
 
 def _compared_head(analyses: Sequence[Analysis]) -> str:

@@ -124,7 +124,7 @@ def _tile_html(title: str, names: Sequence[str], tiles: Sequence[Tile | None]) -
     body = ''
     for i, tile in enumerate(tiles):
         if tile is None or tile.value is None:
-            body += f'<p class="value">{_key(i, names)}<b>unknown</b></p>'
+            body += f'<p class="value">{_key(i, names)}<span>not recorded</span></p>'
             continue
         body += (f'<p class="value">{_key(i, names)}<b>{number_text(tile.value)}</b> '
                  f'<span>{tile.unit}</span></p>'
@@ -144,13 +144,15 @@ def _key(index: int, names: Sequence[str]) -> str:
     """Return the mark that stands for a bag, where there are several."""
     if len(names) == 1:
         return ''
-    return f'<i class="key s{index % 6}" title="{escape(names[index])}">{chr(65 + index % 26)}</i> '
+    letter = chr(65 + index % 26)
+    return f'<i class="key s{index % 6}" title="{escape(names[index])}">{letter}</i> '
 
 
 def _verdict(tile: Tile) -> str:
     if tile.good is None or tile.limit is None:
         return 'no limit'
     side = 'at least' if tile.at_least else 'at most'
-    limit = f'{side} {number_text(tile.limit)} {tile.unit.split()[0]}'
+    # Spaces that do not part a number from its unit.
+    limit = f'{side} {number_text(tile.limit)}\u00a0{tile.unit.split()[0]}'
     sign, word = ('✓', 'kept') if tile.good else ('✕', 'not kept')
     return f'<strong>{sign} {word}</strong> · {limit}'

@@ -82,7 +82,7 @@ class Analysis:
     periods: metrics.Periods | None
     factor: Array
     notes: tuple[str, ...]
-    facts: RunFacts = RunFacts()
+    facts: RunFacts
 
 
 def scene_at(curves: Curves, time: float) -> Scene:

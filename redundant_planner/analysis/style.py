@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, cast, TypeVar
+from typing import Any, TypeVar
 
 import matplotlib
 
 matplotlib.use('Agg')
-from matplotlib import cycler
+from matplotlib.rcsetup import cycler
 
 INK, MUTED, GRID, PAPER = '#1c2430', '#5b6675', '#e3e7ec', '#ffffff'
 # Blue, vermilion, green, amber, purple, sky, brown and grey: apart for every kind of colour
@@ -44,7 +44,7 @@ Drawing = TypeVar('Drawing', bound=Callable[..., Any])
 
 def styled(draw: Drawing) -> Drawing:
     """Return a function whose pictures have this style; matplotlib's settings stay as they are."""
-    return cast(Drawing, matplotlib.rc_context(dict(STYLE))(draw))
+    return matplotlib.rc_context(dict(STYLE))(draw)
 
 
 def plain_text(text: str) -> str:
