@@ -5,8 +5,8 @@ from __future__ import annotations
 _LIGHT = """color-scheme: light; --paper: #ffffff; --card: #f6f8fa; --ink: #1c2430;
   --muted: #5b6675; --rule: #dde2e8; --grid: #e9edf1; --limit: #a3241c; --good: #00694f;
   --bad: #a3241c; --s0: #0b6bb3; --s1: #c44e12; --s2: #007a5e; --s3: #8f4a9e;
-  --s4: #7a5c00; --s5: #5b6675; --arm: #6f8fb3; --bone: #1f3a5f; --obstacle: #d5703c; --path: #007a5e;
-  --ghost: #98a4b3;"""
+  --s4: #7a5c00; --s5: #5b6675; --arm: #6f8fb3; --bone: #1f3a5f; --obstacle: #d5703c;
+  --path: #007a5e; --ghost: #98a4b3;"""
 _DARK = """color-scheme: dark; --paper: #12161c; --card: #1b212a; --ink: #e6eaf0; --muted: #9aa6b5;
   --rule: #303945; --grid: #262e39; --limit: #ff8f85; --good: #5fd0aa; --bad: #ff8f85;
   --s0: #63b3ed; --s1: #f2935c; --s2: #5fd0aa; --s3: #c996d8; --s4: #dcb94a; --s5: #9aa6b5;
