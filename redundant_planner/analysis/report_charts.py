@@ -110,7 +110,7 @@ function mark(chart, at) {
   const values = chart.curves.filter(c => c.style === told).map(c => {
     const value = c.values[sample(bags[c.bag].time, at)];
     if (!isFinite(value)) return '\\u2013';
-    return (Math.abs(value) < 1e-6 ? '0' : `${Number(value.toPrecision(3))}`)
+    return `${Number(Number(value.toPrecision(3)).toFixed(4))}`
       .replace('-', '\\u2212');
   });
   chart.read.textContent = values.join(' | ');
