@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use('Agg')
 from matplotlib.figure import Figure
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.analysis.figures import OBSTACLE_COLOR, set_equal_axes, stretched
+from redundant_planner.analysis.figures import set_equal_axes, stretched
+from redundant_planner.analysis.style import OBSTACLE_COLOR, styled
 from redundant_planner.core.obstacles.obstacle import Obstacle
 
 Array = npt.NDArray[np.float64]
@@ -37,6 +35,7 @@ def examples() -> dict[str, list[Obstacle]]:
         'SPHERE_LIST': [Obstacle('', at, (0.04, 0.04, 0.04)) for at in steps]}
 
 
+@styled
 def draw(path: Path) -> None:
     """Write the picture to a PNG file."""
     figure = Figure(figsize=(10.0, 6.4), layout='constrained')

@@ -57,6 +57,7 @@ def main():
 
     def start():
         seen['before'] = folder + '/before.png'
+        page.runJavaScript('view0.scrollIntoView()')
         QTimer.singleShot(STEP, lambda: (view.grab().save(seen['before']), play()))
 
     def play():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +13,10 @@ from redundant_planner.analysis.bounded_series import HeldTwists, KeptScenes, Th
 from redundant_planner.analysis.commanded import Commands
 from redundant_planner.analysis.joint_measures import JointSums
 from redundant_planner.analysis.path_errors import path_errors
+from redundant_planner.analysis.planner_reports import PlannerReports
 from redundant_planner.analysis.results import Analysis, Curves
-from redundant_planner.analysis.robot_of_bag import robot_of_bag
+from redundant_planner.analysis.robot_of_bag import robot_of_bag, RobotOfBag
+from redundant_planner.analysis.run_facts import run_facts
 from redundant_planner.analysis.smallest_clearance import SmallestClearance
 from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.obstacles.scene import Scene
@@ -65,7 +66,7 @@ def analyse(
     """
     with open_bag(path, namespace) as bag:
         notes: list[str] = []
-        robot, values = robot_of_bag(bag, params, urdf, tip, notes)
+        found = robot_of_bag(bag, params, urdf, tip, notes)
         given = params is not None or bool(urdf or tip)
         source = next((t for t in ('joint_states', 'joint_command') if bag.topics.get(t)), None)
         if source is None:
@@ -80,32 +81,33 @@ def analyse(
             if not bag.topics.get(topic):
                 notes.append(f'no {topic}: {what}')
         try:
-            return _Motion(bag, source, robot, values, notes).read(begin, end, progress)
+            return _Motion(bag, source, found, notes).read(begin, end, progress)
         except JointsMissingError as error:
             if given:
                 raise
             bag.left_out = LeftOut()
             notes.append(f'the robot of the recorded configuration is another one: {error}')
-            return _Motion(bag, source, None, values, notes).read(begin, end, progress)
+            return _Motion(bag, source, found._replace(robot=None), notes).read(
+                begin, end, progress)
 
 
 class _Motion:
     """The motion in a bag, collected message by message."""
 
     def __init__(
-        self, bag: Bag, source: str, robot: Robot | None, values: dict[str, Any],
-        notes: list[str],
+        self, bag: Bag, source: str, found: RobotOfBag, notes: list[str],
     ) -> None:
         """Begin with nothing read.
 
         Args:
             bag: open for reading.
             source: topic of the joint states.
-            robot: None if nothing said which.
-            values: the planner's parameters, as far as they are known.
+            found: the robot and the planner's parameters, as far as they are known.
             notes: takes what is missing.
         """
+        robot, values = found.robot, found.values
         self._bag, self._source, self._robot, self._notes = bag, source, robot, notes
+        self._found, self._reports = found, PlannerReports()
         self._topics = bag.call(obstacle_topics(values))
         self._tracker = ObstacleSources.of(
             len(self._topics), recorded_obstacles(values, notes), (), transform=as_it_is,
@@ -125,7 +127,6 @@ class _Motion:
         self._commands: Commands | None = None
         self._periods: list[npt.NDArray[np.float32]] = []
         self._last_stamp: float | None = None
-        self._factor: list[tuple[float, float]] = []
 
     def read(
         self, begin: float, end: float, progress: Callable[[float], None] | None,
@@ -167,7 +168,7 @@ class _Motion:
             if self._payload is not None:
                 self._payload.tracker.update(event.raw, event.arrival)
         else:
-            self._factor += _factors(event)
+            self._reports.add(event)
 
     def _take_stamps(self, stamps: Array) -> None:
         if self._last_stamp is not None:
@@ -241,8 +242,11 @@ class _Motion:
                 self._robot, self._rows.rows(), self._twists, self._scenes.kept, commands),
             clearance=clearance.smallest if clearance is not None else None,
             distance=clearance.distance if clearance is not None else np.inf,
-            periods=_periods(intervals), factor=np.array(self._factor).reshape(-1, 2),
-            notes=tuple(dict.fromkeys(printable(note) for note in notes)))
+            periods=_periods(intervals), factor=self._reports.factor,
+            notes=tuple(dict.fromkeys(printable(note) for note in notes)),
+            facts=run_facts(
+                self._found.values, self._found.software, self._bag.origin_ns,
+                self._reports.tick_median, self._reports.tick_longest))
 
 
 def _periods(intervals: npt.NDArray[np.float32]) -> metrics.Periods | None:
@@ -250,21 +254,6 @@ def _periods(intervals: npt.NDArray[np.float32]) -> metrics.Periods | None:
         return None
     return metrics.Periods(float(np.median(intervals)), float(np.percentile(intervals, 99)),
                            float(intervals.max()))
-
-
-def _factors(item: Event) -> list[tuple[float, float]]:
-    """Return the time and k of every planner's status in a DiagnosticArray."""
-    found = []
-    for status in item.message.status:
-        for entry in status.values:
-            if entry.key == 'factor k':
-                try:
-                    factor = float(entry.value)
-                except ValueError:
-                    continue
-                if np.isfinite(factor):
-                    found.append((item.arrival, factor))
-    return found
 
 
 def _curves(

@@ -3,32 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import itertools
 import math
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use('Agg')
 from matplotlib.figure import Figure
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.analysis.style import (
+    ARM_COLOR,
+    LIMIT_COLOR,
+    MUTED,
+    OBSTACLE_COLOR,
+    PATH_COLOR,
+    plain_text,
+    SERIES,
+    styled,
+    without_panes,
+)
 from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, HALF_SPACE, Obstacle
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
 
-OBSTACLE_COLOR = '#c8553d'
-ARM_COLOR = '#1d3557'
-PATH_COLOR = '#2a9d8f'
+# A limit is drawn where a curve comes as near as this share of it.
+_NEAR = 0.25
 
-
-def _literal(text: str) -> str:
-    """Return a text so that matplotlib shows it as it is, and sees no formula between dollars."""
-    return text.replace('$', r'\$')
-
-
+@styled
 def motion_picture(
     path: Path, robot: Robot, times: Array, positions: Array, velocities: Array,
     obstacles: Sequence[Obstacle], title: str,
@@ -44,28 +47,28 @@ def motion_picture(
         title: above it all.
     """
     figure = Figure(figsize=(13.0, 6.5), layout='constrained')
-    figure.suptitle(_literal(title))
+    figure.suptitle(plain_text(title), x=0.01, ha='left')
     grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
     space = figure.add_subplot(grid[:, 0], projection='3d')
     draw_arm(space, robot, positions[np.linspace(0, len(positions) - 1, 7).astype(int)],
              obstacles)
     tips = np.array([robot.kinematics(q).tip_position for q in positions])
     space.plot(*tips.T, color=PATH_COLOR, linewidth=2.0, label='tip path')
-    space.legend(loc='upper left', frameon=False)
+    space.legend(loc='upper left')
     for row, values, label in ((0, positions - positions[0], 'displacement [rad, m]'),
                                (1, velocities, 'velocity [rad/s, m/s]')):
         axes = figure.add_subplot(grid[row, 1])
         for name, series in zip(robot.joint_names, values.T):
-            axes.plot(times, series, label=_literal(name), linewidth=1.4)
+            axes.plot(times, series, label=plain_text(name))
         axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
         if row == 0:
-            axes.legend(ncols=4, fontsize='small', frameon=False)
+            axes.legend(ncols=4, loc='lower left', bbox_to_anchor=(0.0, 1.0))
         else:
             axes.set_xlabel('time [s]')
-    figure.savefig(path, dpi=110)
+    figure.savefig(path)
 
 
+@styled
 def draw_arm(
     axes: Any, robot: Robot, postures: Array, obstacles: Sequence[Obstacle],
 ) -> None:
@@ -108,12 +111,14 @@ def set_equal_axes(axes: Any, extent: Array) -> None:
     axes.set_xlabel('x [m]')
     axes.set_ylabel('y [m]')
     axes.set_zlabel('z [m]')
+    without_panes(axes)
 
 
 # Elevation, azimuth and the axis one looks along in the paper's three views of the arm.
 _VIEWS = ((18, -35, None), (0, 0, 'x'), (90, -90, 'z'))
 
 
+@styled
 def three_views(
     path: Path, robot: Robot, positions: Array, obstacles: Sequence[Obstacle], title: str,
 ) -> None:
@@ -127,7 +132,7 @@ def three_views(
         title: above it all.
     """
     figure = Figure(figsize=(15.0, 5.5), layout='constrained')
-    figure.suptitle(_literal(title))
+    figure.suptitle(plain_text(title), x=0.01, ha='left')
     postures = positions[np.linspace(0, len(positions) - 1, 7).astype(int)]
     for i, (elevation, azimuth, along) in enumerate(_VIEWS, start=1):
         axes = figure.add_subplot(1, 3, i, projection='3d')
@@ -136,12 +141,14 @@ def three_views(
         if along:
             axes.set_proj_type('ortho')
             axes.set(**{f'{along}ticks': [], f'{along}label': ''})
-    figure.savefig(path, dpi=110)
+    figure.savefig(path)
 
 
+@styled
 def joint_curves(
     path: Path, names: Sequence[str], label: str,
     curves: Mapping[str, tuple[str, Array, Array]], title: str,
+    limits: Array | None = None,
 ) -> None:
     """Write one small diagram per joint with every method in it, as in Figs. 6 to 8.
 
@@ -151,22 +158,42 @@ def joint_curves(
         label: of the vertical axis.
         curves: method → (line style, times (k,), values (k, n)).
         title: above it all.
+        limits: (n,) largest values that are allowed, infinite for none.
     """
     figure = Figure(figsize=(13.0, 6.5), layout='constrained')
-    figure.suptitle(_literal(title))
+    figure.suptitle(plain_text(title), x=0.01, ha='left')
+    columns = (len(names) + 1) // 2
     for i, name in enumerate(names):
-        axes = figure.add_subplot(2, (len(names) + 1) // 2, i + 1)
-        for method, (style, times, values) in curves.items():
-            axes.plot(times, values[:, i], style, label=_literal(method), linewidth=1.5)
-        axes.set_title(_literal(name))
-        axes.grid(alpha=0.3)
-        axes.set_xlabel('time [s]')
-        axes.set_ylabel(label)
-        if i == 0:
-            axes.legend(frameon=False, fontsize='small')
-    figure.savefig(path, dpi=110)
+        axes = figure.add_subplot(2, columns, i + 1)
+        for color, (method, (style, times, values)) in zip(
+                itertools.cycle(SERIES), curves.items()):
+            axes.plot(times, values[:, i], style, label=plain_text(method), color=color)
+        if limits is not None:
+            _draw_limit(axes, float(limits[i]))
+        axes.set_title(plain_text(name))
+        if i >= columns or i + columns >= len(names):
+            axes.set_xlabel('time [s]')
+        if i % columns == 0:
+            axes.set_ylabel(label)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc='outside upper right',
+                  ncols=len(curves))
+    figure.savefig(path)
 
 
+def _draw_limit(axes: Any, limit: float) -> None:
+    """Draw a limit as lines where they are near the curve, else say where it is."""
+    low, high = axes.get_ylim()
+    if not math.isfinite(limit):
+        return
+    if max(-low, high) < _NEAR * limit:
+        axes.annotate(f'limit ±{limit:g}', (1.0, 1.0), xycoords='axes fraction', ha='right',
+                      va='bottom', fontsize='small', color=MUTED)
+        return
+    for value in (-limit, limit):
+        axes.axhline(value, color=LIMIT_COLOR, linewidth=1.0)
+
+
+@styled
 def robot_picture(
     path: Path, robot: Robot, q: Array, points: Sequence[tuple[str, Array]],
 ) -> None:
@@ -196,7 +223,7 @@ def robot_picture(
                 axes.plot(*np.array((origin, origin + 0.12 * axis)).T, color=color, linewidth=2.0)
         set_equal_axes(axes, extent)
         axes.view_init(elev=elevation, azim=azimuth)
-    figure.savefig(path, dpi=110)
+    figure.savefig(path)
 
 
 def stretched(ball: Array, shape: str, half_extents: Array) -> Array:

@@ -77,7 +77,7 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
         PlannerError: the bag lacks a robot or joint states.
     """
     notes: list[str] = []
-    robot, values = robot_of_bag(bag, params, urdf, tip, notes)
+    robot, values, _ = robot_of_bag(bag, params, urdf, tip, notes)
     if robot is None:
         raise RecordingError(f"'{bag.path}': {'; '.join(notes)}")
     inputs = Inputs(robot, values, notes=notes)

@@ -1,39 +1,32 @@
-"""One HTML page per analysis that needs nothing else: curves with linked time, and a 3-D view."""
+"""One HTML page per analysis that needs nothing else: key figures, a 3-D view, curves, tables."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 import json
 from pathlib import Path
 import re
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from plotly.offline import get_plotlyjs
 
-from redundant_planner.analysis.measure_tables import (
-    as_text,
-    MEASURES,
-    motion_measures,
-    PEAKS,
-    reductions,
-)
-from redundant_planner.analysis.report_figures import (
-    accelerations_of,
-    drawn_samples,
-    velocities_of,
-    write_figures,
+from redundant_planner.analysis.motion_interval import shown_together
+from redundant_planner.analysis.report_data import MOST_JOINTS, page_data
+from redundant_planner.analysis.report_figures import write_figures
+from redundant_planner.analysis.report_tables import (
+    comparison_html,
+    facts_html,
+    joint_columns,
+    joints_html,
+    motion_html,
+    peak_columns,
 )
 from redundant_planner.analysis.report_template import PAGE
-from redundant_planner.analysis.report_view import packed_numbers, view_count, view_of
+from redundant_planner.analysis.report_tiles import tiles_html, tiles_of
+from redundant_planner.analysis.report_view import view_of
 from redundant_planner.analysis.results import Analysis
 from redundant_planner.core.errors import PlannerError
-
-Array = npt.NDArray[np.float64]
-
-_COLORS = ('#1d3557', '#c8553d', '#2a9d8f', '#e9c46a', '#6d597a', '#457b9d', '#8ab17d', '#b56576',
-           '#355070', '#bc6c25')
 
 
 def write_report(folder: Path, analyses: list[Analysis]) -> Path:
@@ -57,15 +50,17 @@ def write_report(folder: Path, analyses: list[Analysis]) -> Path:
     return file
 
 
-def page_of(analyses: list[Analysis]) -> str:
+def page_of(analyses: Sequence[Analysis]) -> str:
     """Return the page of one or more analyses as HTML."""
-    title = ' and '.join(f"'{analysis.name}'" for analysis in analyses)
-    views = [view_of(analysis) if analysis.robot is not None else None for analysis in analyses]
-    body = ''.join(_section(i, *both) for i, both in enumerate(zip(analyses, views)))
-    for other in analyses[1:]:
-        body += _comparison(analyses[0], other)
-    texts = {'TITLE': escape(title), 'BODY': body, 'PLOTLY': get_plotlyjs(),
-             'DATA': _for_script([_data(*both) for both in zip(analyses, views)])}
+    names = [analysis.name for analysis in analyses]
+    shown = shown_together([analysis.curves for analysis in analyses])
+    views = [view_of(analysis, shown) if analysis.robot is not None else None
+             for analysis in analyses]
+    body = (facts_html(analyses) + tiles_html(names, [tiles_of(one) for one in analyses])
+            + _notes(analyses, views) + _motion_section(analyses) + _curve_section(analyses)
+            + _table_section(analyses))
+    texts = {'TITLE': escape(f'Motion report: {" and ".join(names)}'), 'BODY': body,
+             'PLOTLY': get_plotlyjs(), 'DATA': _for_script(page_data(analyses, views))}
     # All at once: a name in the bag may be one of the marks.
     return re.sub(f'__({"|".join(texts)})__', lambda mark: texts[mark[1]], PAGE)
 
@@ -79,78 +74,80 @@ def _for_script(data: Any) -> str:
     return text
 
 
-def _label(text: str) -> str:
-    """Return a text as plotly shows it: in labels it takes some HTML for markup."""
-    return escape(text, quote=False)
+def _notes(analyses: Sequence[Analysis], views: Sequence[dict[str, Any] | None]) -> str:
+    """Return what is missing or left out, as a list."""
+    found = []
+    for analysis, view in zip(analyses, views):
+        told = list(analysis.notes)
+        if view is not None and view['hidden']:
+            told.append(f'the 3-D view leaves out up to {view["hidden"]} obstacles that are '
+                        'farther away than the others')
+        if len(analysis.joint_names) > MOST_JOINTS:
+            told.append(f'diagrams show the first {MOST_JOINTS} of '
+                        f'{len(analysis.joint_names)} joints')
+        found += [f'{analysis.name}: {note}' if len(analyses) > 1 else note for note in told]
+    items = ''.join(f'<li>{escape(note)}</li>' for note in dict.fromkeys(found))
+    return f'<ul class="notes">{items}</ul>' if items else ''
 
 
-def _section(index: int, analysis: Analysis, shown: dict[str, Any] | None) -> str:
-    measures = ''.join(
-        f'<tr><td>{escape(key.replace("_", " "))}</td><td>{escape(as_text(value))}</td></tr>'
-        for key, value in motion_measures(analysis).items())
-    notes = ''.join(f'<p class="note">{escape(note)}</p>' for note in analysis.notes)
-    if shown is not None and shown['hidden']:
-        notes += (f'<p class="note">the 3-D view leaves out up to {shown["hidden"]} obstacles '
-                  'that are farther away than the others</p>')
-    view = '' if analysis.robot is None else (
-        f'<div class="view" id="view{index}"></div><div class="bar">'
-        f'<button id="play{index}" aria-label="play or pause">play</button>'
-        f'<input id="slider{index}" type="range" min="0" max="{view_count(analysis) - 1}" '
-        f'value="0" aria-label="time"><span id="clock{index}"></span></div>')
-    return (f'<h2>{escape(analysis.name)}</h2>{notes}{view}'
-            f'<div class="curves" id="curves{index}"></div>'
-            f'<div class="scroll">{_joint_rows(analysis)}</div>'
-            f'<div class="scroll"><table>{measures}</table></div>')
+def _motion_section(analyses: Sequence[Analysis]) -> str:
+    """Return the 3-D views beside the curves of the whole arm."""
+    views = ''.join(
+        '<div>' + (_bag_title(i, analysis.name) if len(analyses) > 1 else '')
+        + f'<div class="view" id="view{i}"></div>'
+        f'<img class="picture on-paper" id="picture{i}" alt="the arm and the obstacles"></div>'
+        for i, analysis in enumerate(analyses) if analysis.robot is not None)
+    several = ' several' if len(analyses) > 1 else ''
+    return ('<h2>The motion</h2><p class="lead">Time counts from the begin of the command. Press '
+            'on a curve to see the arm at that moment. The number beside a title is the value '
+            f'there.</p>{_legend(analyses)}<div class="motion{several}">'
+            f'<div class="views">{views}</div><div class="charts" id="charts-arm"></div></div>')
 
 
-def _joint_rows(analysis: Analysis) -> str:
-    columns = {title: getattr(analysis.joints, key) for key, title in MEASURES.items()}
-    if analysis.commanded is not None:
-        columns |= {title: getattr(analysis.commanded, key)
-                    for key, (title, _) in PEAKS.items()}
-    head = ''.join(f'<th>{escape(title)}</th>' for title in columns)
-    rows = ''.join(
-        f'<tr><td>{escape(name)}</td>' + ''.join(
-            f'<td>{values[i]:.5g}</td>' for values in columns.values()) + '</tr>'
-        for i, name in enumerate(analysis.joint_names))
-    return f'<table><tr><th>joint</th>{head}</tr>{rows}</table>'
+def _legend(analyses: Sequence[Analysis]) -> str:
+    """Return what colours and lines stand for."""
+    shown = ''
+    if any(analysis.robot is not None for analysis in analyses):
+        shown = ''.join(
+            f'<span><i class="swatch" style="background: var(--{color})"></i>{what}</span>'
+            for color, what in (('bone', 'arm'), ('arm', 'shapes of its links'),
+                                ('obstacle', 'obstacles'), ('path', 'path of the tip'),
+                                ('ghost', 'posture at the start')))
+    lines = [('curve measured s0', 'measured'), ('limit', 'limit')]
+    if _commanded(analyses):
+        lines.insert(0, ('curve commanded s0', 'commanded'))
+    shown += ''.join(
+        f'<span><svg width="30" height="8"><line class="{style}" x1="0" x2="30" y1="4" '
+        f'y2="4"/></svg>{what}</span>' for style, what in lines)
+    if len(analyses) > 1:
+        shown += ''.join(f'<span>{_bag_title(i, analysis.name)}</span>'
+                         for i, analysis in enumerate(analyses))
+    return f'<p class="legend">{shown}</p>'
 
 
-def _comparison(base: Analysis, improved: Analysis) -> str:
-    rows = reductions(base, improved)
-    keys = list(next(iter(rows.values())))
-    head = ''.join(f'<th>{escape(key.replace("_", " "))}</th>' for key in keys)
-    lines = ''.join(
-        f'<tr><td>{escape(name)}</td>'
-        + ''.join(f'<td>{row[key]:.1f}</td>' if np.isfinite(row[key]) else '<td>–</td>'
-                  for key in keys) + '</tr>' for name, row in rows.items())
-    return (f'<h2>Reductions (%) of {escape(improved.name)} against {escape(base.name)}</h2>'
-            f'<div class="scroll"><table><tr><th>joint</th>{head}</tr>{lines}</table></div>')
+def _curve_section(analyses: Sequence[Analysis]) -> str:
+    kind = 'commanded' if _commanded(analyses) else 'measured'
+    return '<h2>Joints over time</h2>' + ''.join(
+        f'<h3>{title}</h3><div class="charts" id="charts-{group}"></div>'
+        for group, title in (('position', 'Positions, measured'), ('velocity', 'Velocities'),
+                             ('acceleration', f'Accelerations, {kind}')))
 
 
-def _data(analysis: Analysis, view: dict[str, Any] | None) -> dict[str, Any]:
-    """Return what the page's script draws."""
-    curves = analysis.curves
-    chosen = drawn_samples(curves)
+def _commanded(analyses: Sequence[Analysis]) -> bool:
+    return any(analysis.commanded is not None for analysis in analyses)
 
-    def per_joint(label: str, values: Array) -> dict[str, Any]:
-        return {'label': label, 'curves': [
-            {'name': _label(name), 'values': packed_numbers(values[chosen, i]),
-             'color': _COLORS[i % len(_COLORS)]}
-            for i, name in enumerate(analysis.joint_names)]}
 
-    rows = [per_joint('displacement<br>measured [rad, m]', curves.positions - curves.positions[0])]
-    rows += [per_joint(f'velocity<br>{which} [rad/s, m/s]', values)
-             for which, values in velocities_of(curves).items()]
-    rows += [per_joint(f'acceleration<br>{which} [rad/s², m/s²]', values)
-             for which, values in accelerations_of(curves).items()]
-    for label, name, values in (
-            ('clearance<br>[m]', 'smallest clearance', curves.clearance),
-            ('off the path<br>[m]', 'distance from the commanded path', curves.path_error),
-            ('twist scale', 'share of the commanded twist', curves.scale)):
-        if np.isfinite(values).any():
-            shown = np.where(np.isfinite(values), values, np.nan)[chosen]
-            rows.append({'label': label, 'curves': [
-                {'name': name, 'values': packed_numbers(shown), 'color': '#333333'}]})
-    return {'time': packed_numbers(curves.times[chosen] - curves.times[0]), 'rows': rows,
-            'view': view}
+def _table_section(analyses: Sequence[Analysis]) -> str:
+    title = 'Whole motion' if len(analyses) == 1 else 'Whole motion, and differences'
+    tables = f'<h2>{title}</h2>{motion_html(analyses)}'
+    for i, analysis in enumerate(analyses):
+        bag = f': {_bag_title(i, analysis.name)}' if len(analyses) > 1 else ''
+        tables += (f'<h2>Joints{bag}</h2>{joints_html(analysis, joint_columns(analysis))}'
+                   f'<h3>Peaks</h3>{joints_html(analysis, peak_columns(analysis))}')
+    if len(analyses) > 1:
+        tables += f'<h2>Joints, and differences</h2>{comparison_html(analyses)}'
+    return tables
+
+
+def _bag_title(index: int, name: str) -> str:
+    return f'<i class="key s{index % 6}">{chr(65 + index % 26)}</i> {escape(name)}'

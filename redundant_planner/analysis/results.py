@@ -10,6 +10,7 @@ import numpy.typing as npt
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.commanded import CommandPeaks
 from redundant_planner.analysis.joint_measures import JointMeasures
+from redundant_planner.analysis.run_facts import RunFacts
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
 
@@ -64,6 +65,7 @@ class Analysis:
         periods: of joint_command, None without commands.
         factor: of `/diagnostics`, (k, 2) time and k; empty if none were recorded.
         notes: what is missing, and what could not be read.
+        facts: how the motion came about.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Analysis:
     periods: metrics.Periods | None
     factor: Array
     notes: tuple[str, ...]
+    facts: RunFacts
 
 
 def scene_at(curves: Curves, time: float) -> Scene:

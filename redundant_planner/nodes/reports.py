@@ -10,6 +10,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.software_version import with_version
 from redundant_planner.nodes.body_writer import BodyWriter
 from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.endable_node import EndableNode
@@ -51,7 +52,7 @@ class Reports:
         if settings is not self._published:
             self._published = settings
             self._configuration.publish(
-                String(data=settings.file_text(self._robot)))
+                String(data=with_version(settings.file_text(self._robot))))
 
     def publish_diagnostics(self) -> None:
         """Publish the state of the loop."""

@@ -13,10 +13,10 @@ import re
 from typing import Any
 
 import matplotlib
-
-matplotlib.use('Agg')
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+
+from redundant_planner.analysis.style import INK, MUTED, styled
 
 PACKAGE = 'redundant_planner'
 _SOURCE = Path(__file__).resolve().parent.parent
@@ -57,7 +57,7 @@ _PLACES = {
 # Around the rooms of the core: left, lower edge, width, height.
 _CORE_FRAME = (0.0, 0.12, 3.9, 3.62)
 _WIDTH, _HEIGHT = 0.9, 0.52
-_CORE, _OUTER, _INK, _ARROW, _UPWARD = '#dbe9f4', '#f3e9dc', '#22303c', '#5c6f80', '#e63946'
+_CORE, _OUTER, _UPWARD = '#dbe9f4', '#f3e9dc', '#a3241c'
 # What every room may use.
 _COMMON = tuple(f'{PACKAGE}.core.{name}' for name in ('kernels', 'errors', 'numbers', 'constants',
                                                       'parameters'))
@@ -132,6 +132,7 @@ def drawn_arrows(imports: Mapping[str, tuple[str, ...]]) -> list[tuple[str, str]
     return sorted(pairs - hidden)
 
 
+@styled
 def draw(path: Path, imports: Mapping[str, tuple[str, ...]]) -> None:
     """Write the picture: the way of a message above, the rooms and their imports below.
 
@@ -152,7 +153,7 @@ def draw(path: Path, imports: Mapping[str, tuple[str, ...]]) -> None:
         _box(axes, (left, 7.85, width - 0.1, 0.62), step, color)
         if i:
             axes.add_patch(FancyArrowPatch((left - 0.1, 8.16), (left, 8.16), arrowstyle='-|>',
-                                           mutation_scale=12, color=_INK, shrinkA=0, shrinkB=0))
+                                           mutation_scale=12, color=INK, shrinkA=0, shrinkB=0))
     _box(axes, _CORE_FRAME, '', '#f5f9fc')
     for room, other in drawn_arrows(imports):
         _arrow(axes, room, other)
@@ -169,13 +170,13 @@ def _box(
     left, low, width, height = place
     axes.add_patch(FancyBboxPatch(
         (left, low), width, height, boxstyle='round,pad=0,rounding_size=0.06', facecolor=color,
-        edgecolor=_INK, linewidth=1.0, zorder=2.0 if title else 0.0))
+        edgecolor=INK, linewidth=1.0, zorder=2.0 if title else 0.0))
     middle = low + (0.66 if below else 0.5) * height
     axes.text(left + 0.5 * width, middle, title, ha='center', va='center', zorder=3.0,
               fontsize=11.0 if below else 8.5, fontweight='bold' if below else 'normal',
-              color=_INK)
+              color=INK)
     axes.text(left + 0.5 * width, low + 0.28 * height, below, ha='center', va='center',
-              fontsize=7.0, color=_INK, zorder=3.0)
+              fontsize=7.0, color=INK, zorder=3.0)
 
 
 def _arrow(axes: Any, room: str, other: str) -> None:
@@ -192,7 +193,7 @@ def _arrow(axes: Any, room: str, other: str) -> None:
     if other == 'core' and not room.startswith('core'):
         stop = (start[0], _CORE_FRAME[1] + _CORE_FRAME[3])
     axes.add_patch(FancyArrowPatch(
-        start, stop, arrowstyle='-|>', mutation_scale=12, color=_ARROW if down else _UPWARD,
+        start, stop, arrowstyle='-|>', mutation_scale=12, color=MUTED if down else _UPWARD,
         linewidth=1.1, shrinkA=0.0, shrinkB=0.0, zorder=1.0))
 
 

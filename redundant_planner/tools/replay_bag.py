@@ -37,6 +37,7 @@ from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import recorded_obstacles, recorded_walls
 from redundant_planner.io.recorded_inputs import as_it_is
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
+from redundant_planner.io.software_version import with_version
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
 Array = npt.NDArray[np.float64]
@@ -264,7 +265,8 @@ def main(args: list[str] | None = None) -> int:
         replay = again(inputs, changed) if exact else otherwise(inputs, changed)
         values = {**inputs.values, **_as_in_files(changed)}
         write_replay(out, inputs, replay, origin_ns,
-                     str(yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)))
+                     with_version(
+                         yaml.safe_dump({'/**': {'ros__parameters': values}}, sort_keys=False)))
         if exact:
             print(f'every tick again with the recorded parameters: {_difference(inputs, replay)}')
         else:

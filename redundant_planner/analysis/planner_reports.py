@@ -1,0 +1,64 @@
+"""What the planner said of itself in `/diagnostics`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.io.bag_reader import Event
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class PlannerReports:
+    """The numbers of the planner's status, collected message by message.
+
+    Attributes:
+        factors: time and k of Eq. 2 of every status.
+        medians, longest: of the ticks since the status before [s].
+    """
+
+    factors: list[tuple[float, float]] = field(default_factory=list)
+    medians: list[float] = field(default_factory=list)
+    longest: list[float] = field(default_factory=list)
+
+    def add(self, event: Event) -> None:
+        """Take in a DiagnosticArray; entries that are no numbers are left out."""
+        for status in event.message.status:
+            for entry in status.values:
+                number = _number(entry)
+                if number is None:
+                    continue
+                if entry.key == 'factor k':
+                    self.factors.append((event.arrival, number))
+                elif entry.key == 'tick time, median [us]':
+                    self.medians.append(1e-6 * number)
+                elif entry.key == 'tick time, longest [us]':
+                    self.longest.append(1e-6 * number)
+
+    @property
+    def factor(self) -> Array:
+        """Times and k, (k, 2)."""
+        return np.array(self.factors).reshape(-1, 2)
+
+    @property
+    def tick_median(self) -> float | None:
+        """The median of the reported medians [s], None without any."""
+        return float(np.median(self.medians)) if self.medians else None
+
+    @property
+    def tick_longest(self) -> float | None:
+        """The longest tick [s], None if none was reported."""
+        return max(self.longest, default=None)
+
+
+def _number(entry: Any) -> float | None:
+    try:
+        value = float(entry.value)
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None

@@ -1,0 +1,103 @@
+"""The report in a headless Chromium, where one is installed: a script of the test looks around."""
+
+from __future__ import annotations
+
+from html import unescape
+import json
+import re
+import shutil
+import subprocess
+
+from bags import paper_motion, write
+import pytest
+
+from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.analysis.report import page_of
+
+CHROMIUM = next(filter(None, map(shutil.which, (
+    'chromium', 'chromium-browser', 'google-chrome'))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason='there is no Chromium on PATH')
+
+BEFORE = """<script>
+const troubles = [];
+addEventListener('error', event => troubles.push(String(event.message)));
+addEventListener('unhandledrejection', event => troubles.push(String(event.reason)));
+</script>"""
+# What stands out beyond the right edge, but for what scrolls by itself.
+AFTER = """<script>setTimeout(() => {
+  const asked = document.documentElement.getBoundingClientRect().right;
+  const outside = [...document.querySelectorAll('main *, header *')].filter(one =>
+    !one.closest('.scroll, .view, svg') && one.getBoundingClientRect().right > asked + 1);
+  const before = {clock: clock0.textContent, cursor: cursorPlace(),
+                  traces: document.getElementById('view0').data.map(
+                    trace => trace.x.filter(Number.isFinite).length)};
+  whole.click();
+  const ticks = document.querySelectorAll('#charts-velocity .chart')[0].textContent;
+  whole.click();
+  play0.click();
+  setTimeout(() => { document.title = 'SEEN' + JSON.stringify({
+    before, ticks, troubles, width: asked,
+    scrollWidth: document.documentElement.scrollWidth,
+    outside: outside.map(one => one.className + ' ' + one.tagName), clock: clock0.textContent,
+    cursor: cursorPlace(), background: getComputedStyle(document.body).backgroundColor,
+    canvases: document.querySelectorAll('#view0 canvas').length,
+    views: document.querySelectorAll('.view canvas').length,
+    curves: [...document.querySelectorAll('path.curve')].map(one => one.getAttribute('d').length),
+    bad: document.querySelectorAll('.chart svg *').length
+      && document.querySelector('.charts').innerHTML.includes('NaN')})}, 700);
+}, 3000);
+const cursorPlace = () => document.querySelector('.now').getAttribute('transform');
+</script>"""
+
+
+def seen(tmp_path, page, width, *options):
+    """Open a page and return what the script saw."""
+    file = tmp_path / 'page.html'
+    # Chromium's window is no narrower than 500 px; the page is then as wide as was asked for.
+    narrow = f'<style>html {{ width: {width}px; }}</style>' if width < 500 else ''
+    file.write_text(page.replace('</head>', BEFORE + narrow + '</head>', 1).replace(
+        '</body></html>', AFTER + '</body></html>'), encoding='utf-8')
+    done = subprocess.run(
+        [CHROMIUM, '--headless=new', '--no-sandbox', '--use-angle=swiftshader',
+         '--enable-unsafe-swiftshader', '--disable-dev-shm-usage', *options,
+         f'--user-data-dir={tmp_path / "profile"}', f'--window-size={width},900',
+         '--virtual-time-budget=12000', '--dump-dom', file.as_uri()],
+        capture_output=True, text=True, timeout=300, check=False)
+    found = re.search(r'<title>SEEN(.*?)</title>', done.stdout, re.DOTALL)
+    assert found is not None, done.stderr
+    return json.loads(unescape(found[1]))
+
+
+@pytest.fixture(scope='module')
+def analyses(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('bags')
+    found = []
+    for name, method in (('dynamic_factor', 'dynamic_factor'), ('other' * 12, 'variational')):
+        robot, parameters, motion = paper_motion(1.0, method)
+        found.append(analyse(write(folder / name, robot, parameters, motion)))
+    return found
+
+
+@pytest.mark.parametrize('bags', [1, 2])
+@pytest.mark.parametrize('width', [400, 1280])
+def test_it_fits_is_drawn_at_once_and_plays(analyses, tmp_path, bags, width):
+    result = seen(tmp_path, page_of(analyses[:bags]), width)
+    assert result['troubles'] == []
+    assert result['width'] <= width and result['outside'] == []
+    assert result['scrollWidth'] <= max(width, 500)
+    # Links, chain, obstacles, tip, trail so far, whole trail and first posture, before it plays.
+    counts = result['before']['traces']
+    assert len(counts) == 7 and all(count > 0 for count in counts) and counts[5] > 100
+    assert result['views'] >= bags and result['canvases'] > 0
+    assert result['before']['clock'] == '0.00 s' != result['clock']
+    assert result['before']['cursor'] != result['cursor']
+    # Three diagrams of the arm; of each joint one of its position, velocity, acceleration.
+    assert len(result['curves']) == bags * (3 + 7 * 4)
+    assert min(result['curves']) > 50 and not result['bad']
+
+
+def test_light_and_dark_follow_the_system(analyses, tmp_path):
+    page = page_of(analyses[:1])
+    assert seen(tmp_path, page, 800)['background'] == 'rgb(255, 255, 255)'
+    dark = seen(tmp_path, page, 800, '--blink-settings=preferredColorScheme=0')
+    assert dark['background'] == 'rgb(18, 22, 28)'
