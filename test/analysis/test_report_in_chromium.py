@@ -18,7 +18,10 @@ CHROMIUM = next(filter(None, map(shutil.which, (
     'chromium', 'chromium-browser', 'google-chrome'))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason='there is no Chromium on PATH')
 
+# With --dump-dom Chromium paints a frame now and then, or none: frames come by the clock here.
 BEFORE = """<script>
+requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 16);
+cancelAnimationFrame = clearTimeout;
 const troubles = [];
 addEventListener('error', event => troubles.push(String(event.message)));
 addEventListener('unhandledrejection', event => troubles.push(String(event.reason)));
@@ -35,7 +38,11 @@ AFTER = """<script>setTimeout(() => {
   const ticks = document.querySelectorAll('#charts-velocity .chart')[0].textContent;
   whole.click();
   play0.click();
-  setTimeout(() => { document.title = 'SEEN' + JSON.stringify({
+  let looks = 0;
+  const watch = setInterval(() => {
+    if (clock0.textContent === before.clock && ++looks < 60) return;
+    clearInterval(watch);
+    document.title = 'SEEN' + JSON.stringify({
     before, ticks, troubles, width: asked,
     scrollWidth: document.documentElement.scrollWidth,
     outside: outside.map(one => one.className + ' ' + one.tagName), clock: clock0.textContent,
@@ -44,7 +51,7 @@ AFTER = """<script>setTimeout(() => {
     views: document.querySelectorAll('.view canvas').length,
     curves: [...document.querySelectorAll('path.curve')].map(one => one.getAttribute('d').length),
     bad: document.querySelectorAll('.chart svg *').length
-      && document.querySelector('.charts').innerHTML.includes('NaN')})}, 700);
+      && document.querySelector('.charts').innerHTML.includes('NaN')})}, 300);
 }, 3000);
 const cursorPlace = () => document.querySelector('.now').getAttribute('transform');
 </script>"""
@@ -61,7 +68,7 @@ def seen(tmp_path, page, width, *options):
         [CHROMIUM, '--headless=new', '--no-sandbox', '--use-angle=swiftshader',
          '--enable-unsafe-swiftshader', '--disable-dev-shm-usage', *options,
          f'--user-data-dir={tmp_path / "profile"}', f'--window-size={width},900',
-         '--virtual-time-budget=12000', '--dump-dom', file.as_uri()],
+         '--virtual-time-budget=25000', '--dump-dom', file.as_uri()],
         capture_output=True, text=True, timeout=300, check=False)
     found = re.search(r'<title>SEEN(.*?)</title>', done.stdout, re.DOTALL)
     assert found is not None, done.stderr
