@@ -45,7 +45,8 @@ class MoreControls:
         if shown is not None:
             with gui.add_folder('Scene', order=1):
                 self._hint = gui.add_markdown(shown.hint)
-                choice = gui.add_dropdown('scene', tuple(titles), shown.title)
+                choice = gui.add_dropdown(
+                    'scene', tuple(titles), initial_value=shown.title)
                 loading = gui.add_button('Load it anew')
 
             async def loads(event: Any) -> None:

@@ -116,7 +116,6 @@ class PlannerClient:
             'playground', context=executor.context, namespace=namespace, enable_rosout=False,
             start_parameter_services=False)
         self._executor = executor
-        executor.add_node(node)
         self._made_of: dict[str, Any] = {}
         self._reader = self._commands_reader = JointReader(())
         self._sources = ObstacleSources.of(1, (), (), transform=None, estimate_velocity=False)
@@ -139,6 +138,8 @@ class PlannerClient:
             self._targets = node.create_publisher(PoseStamped, 'target_pose', 1)
             self._pause = node.create_client(SetBool, f'{planner}/pause')
             self._reset = node.create_client(Trigger, f'{planner}/reset')
+        # Last: an executor may miss what is created just after it has got to know the node.
+        executor.add_node(node)
 
     @property
     def scene(self) -> Scene:

@@ -13,10 +13,7 @@ from redundant_planner.analysis.report import page_of
 
 pytestmark = pytest.mark.skipif(browser() is None, reason='there is no Chromium on PATH')
 
-# With --dump-dom Chromium paints a frame now and then, or none: frames come by the clock here.
 BEFORE = """<script>
-requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 16);
-cancelAnimationFrame = clearTimeout;
 const troubles = [];
 addEventListener('error', event => troubles.push(String(event.message)));
 addEventListener('unhandledrejection', event => troubles.push(String(event.reason)));
