@@ -20,7 +20,7 @@ BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 # What is no fault of a page's: viser's own listeners say it of every drag.
 _HARMLESS = 'Unable to preventDefault inside passive event listener'
 # A page on a busy machine without graphics may take this long [s].
-PATIENCE = 60.0
+PATIENCE = 120.0
 _SWITCHES = (
     '--headless=new', '--no-sandbox', '--disable-gpu-sandbox', '--use-angle=swiftshader',
     '--enable-unsafe-swiftshader', '--no-first-run', '--disable-extensions',
