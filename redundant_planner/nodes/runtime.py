@@ -25,6 +25,8 @@ from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.rclpy_internals import START_ERRORS
 
 BAD_INPUT = 2
+# The highest ROS domain whose ports there are.
+_LAST_DOMAIN = 232
 
 # With these a user chooses Fast DDS's transports; each release reads one of the two names.
 _PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
@@ -126,6 +128,19 @@ def request_priority(priority: int) -> bool:
     except (PermissionError, AttributeError, FileNotFoundError):
         return False
     return True
+
+
+def ros_domain() -> int:
+    """Return the user's ROS domain.
+
+    Raises:
+        PlannerError: ROS_DOMAIN_ID is none.
+    """
+    given = os.environ.get('ROS_DOMAIN_ID') or '0'
+    if not given.isdecimal() or int(given) > _LAST_DOMAIN:
+        raise PlannerError(f"ROS_DOMAIN_ID is '{given}'; it must be a number from 0 to "
+                           f'{_LAST_DOMAIN}')
+    return int(given)
 
 
 def best_executor(context: Context) -> Executor:

@@ -25,7 +25,7 @@ from redundant_planner.playground.drive import (
 from redundant_planner.playground.drive_controls import DriveControls
 from redundant_planner.playground.item_controls import ItemControls
 from redundant_planner.playground.items_view import ItemsView, moved
-from redundant_planner.playground.more_controls import MoreControls
+from redundant_planner.playground.more_controls import Granted, MoreControls
 from redundant_planner.playground.obstacle_sender import ObstacleSender
 from redundant_planner.playground.page_server import Held, PageServer
 from redundant_planner.playground.planner_client import PlannerClient
@@ -264,9 +264,9 @@ class Playground:
         """Give a visitor the controls."""
         driver = _Driver(client, secrets.token_urlsafe(8))
         driver.more = MoreControls(
-            client, self._later, self._scenes, self._scene, self.load,
-            [arm.client.namespace.strip('/') for arm in self._arms], self._drive,
-            self._compare, self._record, self._show)
+            client, self._later, self._scenes, self._scene,
+            [arm.client.namespace.strip('/') for arm in self._arms],
+            Granted(self.load, self._drive, self._compare, self._record, self._show))
         if self._options.drives:
             client.gui.add_html(
                 f'<span hidden data-playground-token="{driver.token}"></span>', order=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import html
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import viser
@@ -16,15 +16,31 @@ from redundant_planner.playground.scenes import PageScene
 _NOBODY = 'nothing'
 
 
+class Granted(NamedTuple):
+    """What the driver's choices are handed to.
+
+    Attributes:
+        load: takes the chosen scene.
+        drive: takes the number of the arm that is to be driven.
+        compare: takes the method to compare with, empty for none.
+        record: takes whether to record.
+        show: takes whether links and capsules are to be seen.
+    """
+
+    load: Callable[[PageScene], object]
+    drive: Callable[[int], object]
+    compare: Callable[[str], object]
+    record: Callable[[bool], object]
+    show: Callable[[bool, bool], object]
+
+
 class MoreControls:
     """What the driver chooses besides."""
 
     def __init__(
         self, client: viser.ClientHandle, later: Callable[..., None],
-        scenes: Sequence[PageScene], shown: PageScene | None, load: Callable[[PageScene], object],
-        arms: Sequence[str], drive: Callable[[int], object],
-        compare: Callable[[str], object], record: Callable[[bool], object],
-        show: Callable[[bool, bool], object],
+        scenes: Sequence[PageScene], shown: PageScene | None, arms: Sequence[str],
+        granted: Granted,
     ) -> None:
         """Put the controls on the driver's page.
 
@@ -33,12 +49,8 @@ class MoreControls:
             later: has a function called in the loop of the page, with its arguments.
             scenes: to choose from.
             shown: the one that is shown; None where the page does not run the arm.
-            load: takes the chosen one.
             arms: names of the arms.
-            drive: takes the number of the arm that is to be driven.
-            compare: takes the method to compare with, empty for none.
-            record: takes whether to record.
-            show: takes whether links and capsules are to be seen.
+            granted: what choices are handed to.
         """
         gui: Any = client.gui  # where mypy takes values for read-only
         titles = {scene.title: scene for scene in scenes}
@@ -52,7 +64,7 @@ class MoreControls:
             async def loads(event: Any) -> None:
                 if event.client_id is not None:
                     self._hint.content = titles[choice.value].hint
-                    later(load, titles[choice.value])
+                    later(granted.load, titles[choice.value])
 
             choice.on_update(loads)
             loading.on_click(loads)
@@ -60,7 +72,7 @@ class MoreControls:
             arm = gui.add_dropdown('drive the arm', tuple(arms), order=1.5)
 
             async def drives(event: Any) -> None:
-                later(drive, tuple(arms).index(event.target.value))
+                later(granted.drive, tuple(arms).index(event.target.value))
 
             arm.on_update(drives)
         with gui.add_folder('Compare', order=4, expand_by_default=False):
@@ -74,14 +86,14 @@ class MoreControls:
             capsules = gui.add_checkbox('capsules', False)
 
         async def compares(event: Any) -> None:
-            later(compare, '' if method.value == _NOBODY else str(method.value))
+            later(granted.compare, '' if method.value == _NOBODY else str(method.value))
 
         async def records(event: Any) -> None:
             if event.client_id is not None:
-                later(record, bool(event.target.value))
+                later(granted.record, bool(event.target.value))
 
         async def shows(event: Any) -> None:
-            later(show, bool(links.value), bool(capsules.value))
+            later(granted.show, bool(links.value), bool(capsules.value))
 
         method.on_update(compares)
         again.on_click(compares)

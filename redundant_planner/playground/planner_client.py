@@ -138,7 +138,6 @@ class PlannerClient:
             self._targets = node.create_publisher(PoseStamped, 'target_pose', 1)
             self._pause = node.create_client(SetBool, f'{planner}/pause')
             self._reset = node.create_client(Trigger, f'{planner}/reset')
-        # Last: an executor may miss what is created just after it has got to know the node.
         executor.add_node(node)
 
     @property

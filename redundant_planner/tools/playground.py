@@ -22,10 +22,11 @@ if TYPE_CHECKING:
 
 # The loop's period: what browsers draw [s].
 _PERIOD = 1.0 / 30.0
+# How long ROS is listened to in each period at least, however long drawing takes [s].
+_LISTENING = 0.005
 # How long others in the ROS domain get to be discovered before our own arm starts [s].
 _DISCOVERY = 1.0
 _LOOPBACK = ('localhost', '127.0.0.1', '::1')
-_LAST_DOMAIN = 232
 
 
 def _options(args: list[str] | None) -> argparse.Namespace:
@@ -68,8 +69,7 @@ def main(args: list[str] | None = None) -> int:
     try:
         import viser  # noqa: F401
     except ImportError:
-        print("playground: the page needs viser: pip install 'redundant_planner[viewer]', or "
-              "pip install 'viser>=1.1,<2'", file=sys.stderr)
+        print("playground: the page needs viser: pip install 'viser>=1.1,<2'", file=sys.stderr)
         return 2
     # Ended politely, it stops the arm as it does after Ctrl-C.
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -96,12 +96,12 @@ def _run(options: argparse.Namespace) -> int:
     from rclpy.signals import SignalHandlerOptions
     import viser
 
-    from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+    from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, ros_domain
     from redundant_planner.playground import app
     from redundant_planner.playground.scene_nodes import SceneNodes
     from redundant_planner.playground.scenes import page_scenes
 
-    domain = _domain()
+    domain = ros_domain()
     if not options.attach:  # a simulated arm is nobody else's business on the network
         os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     keep_off_shared_memory()
@@ -127,9 +127,10 @@ def _run(options: argparse.Namespace) -> int:
             url = page.serve(options.host, options.port)
             _announce(url, options)
             while True:
-                began = time.monotonic()
+                due = time.monotonic() + _PERIOD
                 page.turn()
-                while (left := began + _PERIOD - time.monotonic()) > 0.0:
+                due = max(due, time.monotonic() + _LISTENING)
+                while (left := due - time.monotonic()) > 0.0:
                     executor.spin_once(timeout_sec=left)
         finally:
             # Another Ctrl-C would leave the arm without the planner's last word.
@@ -176,15 +177,6 @@ def _check_alone(executor: Executor, domain: int) -> None:
                     'ROS_DOMAIN_ID to another number')
     finally:
         node.destroy_node()
-
-
-def _domain() -> int:
-    """Return the user's ROS domain; PlannerError if ROS_DOMAIN_ID is none."""
-    given = os.environ.get('ROS_DOMAIN_ID') or '0'
-    if not given.isdecimal() or int(given) > _LAST_DOMAIN:
-        raise PlannerError(f"ROS_DOMAIN_ID is '{given}'; it must be a number from 0 to "
-                           f'{_LAST_DOMAIN}')
-    return int(given)
 
 
 if __name__ == '__main__':

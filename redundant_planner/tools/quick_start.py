@@ -28,7 +28,7 @@ from std_msgs.msg import String
 
 from redundant_planner.core.errors import known, PlannerError
 from redundant_planner.nodes.child_processes import LiveError, Processes
-from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, ros_domain
 from redundant_planner.tools.show_robot import (
     Arm,
     arm_of,
@@ -50,7 +50,6 @@ _LOOK = 0.1
 # Of what a node said last, how much is repeated when it has ended.
 _LAST_LINES = 5
 # Of ROS domains, on Linux.
-_LAST_DOMAIN = 232
 
 
 class _Station:
@@ -293,7 +292,7 @@ def main(args: list[str] | None = None) -> int:
         signal.signal(number, signal.default_int_handler)
     began, context = time.monotonic(), Context()
     try:
-        domain = _domain()
+        domain = ros_domain()
         # A simulated arm is nobody else's business on the network.
         os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
         keep_off_shared_memory()
@@ -317,19 +316,6 @@ def main(args: list[str] | None = None) -> int:
     finally:
         rclpy.try_shutdown(context=context)
     return 0
-
-
-def _domain() -> int:
-    """Return the user's ROS domain.
-
-    Raises:
-        PlannerError: ROS_DOMAIN_ID is none.
-    """
-    given = os.environ.get('ROS_DOMAIN_ID') or '0'
-    if not given.isdecimal() or int(given) > _LAST_DOMAIN:
-        raise PlannerError(f"ROS_DOMAIN_ID is '{given}'; it must be a number from 0 to "
-                           f'{_LAST_DOMAIN}')
-    return int(given)
 
 
 if __name__ == '__main__':

@@ -352,7 +352,15 @@ def test_another_scene_brings_other_arms(tmp_path):
         page.wait_for(f"{TOKEN} && {TOKEN}.dataset.playgroundToken !== '{first}'")
         arm.tip_of('/right/joint_states')
         page.wait_for(f'{FIGURES} && {FIGURES}.innerText.includes("nearest")')
-        page.wait_for("[...document.querySelectorAll('input')].some((i) => i.value === 'left')")
+        page.wait_for(f'{FIGURES}.innerText.includes("desired")')
+
+        def tip():
+            return arm.tip_of('/right/joint_states')
+
+        choose(page, 'left', 'right')
+        page.wait_for(f'{FIGURES}.innerText.includes("desired")')
+        before = tip()
+        hold(arm, page, 'KeyQ', lambda: tip()[2] > before[2] + 0.02, 'motion of the right arm')
         assert not page.errors
 
 
