@@ -8,9 +8,12 @@
 
   // viser shows this to one visitor each, so that the server knows whose keys these are.
   const token = () => document.querySelector('[data-playground-token]')?.dataset.playgroundToken;
+  // A list keeps the keyboard after a choice; it takes letters only while it is open.
+  const isClosedList = (element) => element.getAttribute('aria-haspopup') === 'listbox'
+    && element.getAttribute('aria-expanded') !== 'true';
   const writes = (element) => element instanceof HTMLElement && (
     element.isContentEditable || element.tagName === 'TEXTAREA'
-    || (element.tagName === 'INPUT' && !element.readOnly  // as lists to choose from are
+    || (element.tagName === 'INPUT' && !isClosedList(element)
         && !['checkbox', 'range', 'radio'].includes(element.type)));
 
   function pad() {
