@@ -66,11 +66,14 @@ def compiled(function: _Function) -> _Function:
 
 
 def kernel(function: _Function) -> _Function:
-    """Compile a function, as `compiled`, that only compiled functions call.
+    """Compile a function, as `compiled`, into those that call it: only compiled functions can.
 
-    It gets no code that takes arguments over from Python, which saves a good part of the work.
+    A call of its own would copy the descriptions of all arrays in its arguments and count
+    references to them. With the records of a scene that takes 150 ns, more than most functions
+    here compute for.
     """
-    return _compile(function, _argument_types(function), {'no_cpython_wrapper': True})
+    return _compile(
+        function, _argument_types(function), {'no_cpython_wrapper': True, 'forceinline': True})
 
 
 def entry(function: _Function) -> _Function:

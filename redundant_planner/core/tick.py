@@ -13,18 +13,18 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.kernels import entry, kernel, OutVector, Vector
-from redundant_planner.core.obstacles.clearance import is_contact, link_pair, place
+from redundant_planner.core.obstacles.clearance import is_contact, link_pair
 from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import kept_apart, near_pairs, NearPairs
 from redundant_planner.core.obstacles.self_collision import near_links, SelfPairs
-from redundant_planner.core.obstacles.shapes import ELLIPSOID, Place
+from redundant_planner.core.obstacles.shapes import ELLIPSOID
 from redundant_planner.core.redundancy import criteria, null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.redundancy.reference import pose_after, Start, Task, task_of
 from redundant_planner.core.robot.jacobian import derivative_between
 from redundant_planner.core.robot.kinematics import Kinematics, Links
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Place, place, Pose
 from redundant_planner.core.safety import barriers as rows
 from redundant_planner.core.safety.barriers import (
     Barriers,

@@ -10,10 +10,15 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.horizon.poses_ahead import error_to, Poses
-from redundant_planner.core.kernels import compiled, entry, Matrix, Stack, Vector
+from redundant_planner.core.kernels import compiled, entry, kernel, Matrix, Vector
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.cone import Cone
-from redundant_planner.core.robot.kinematics import Chain, fill_tip, new_kinematics_compiled
+from redundant_planner.core.robot.kinematics import (
+    Chain,
+    fill_tip,
+    new_kinematics_compiled,
+    new_places,
+)
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
@@ -55,10 +60,7 @@ def least_norm_path(robot: Robot, q: Array, poses: Poses, joints: PathJoints) ->
 
     One step is taken towards each pose, which need not reach it to the last digit.
     """
-    nodes = np.empty((len(poses.position), len(q)))
-    for i, due in enumerate(map(Pose, poses.position, poses.rotation)):
-        q = nodes[i] = _least_norm_step(q, due, *robot.joint_frames.at(q), robot.chain, joints)
-    return nodes
+    return _least_norm_path(q, poses, robot.chain, joints)
 
 
 @compiled
@@ -96,23 +98,26 @@ def step_to_pose(orthogonal: Matrix, upper: Matrix, error: Vector) -> Array:
     return step
 
 
-@entry
-def _least_norm_step(
-    q: Vector, due: Pose, screws: Matrix, rotations: Stack, positions: Matrix, chain: Chain,
-    joints: PathJoints,
-) -> Array:
-    """Return the posture (n,) that a damped least-norm step towards a tip pose leads to.
+@kernel
+def least_norm_nodes(q: Vector, poses: Poses, chain: Chain, joints: PathJoints) -> Array:
+    """Return what `least_norm_path` does, of an arm's chain."""
+    count = len(poses.position)
+    nodes = np.empty((count, len(q)))
+    arm, places = new_kinematics_compiled(q, len(chain.rows), 0), new_places(len(q))
+    for i in range(count):
+        fill_tip(chain, places, arm)
+        error = error_to(Pose(poses.position[i], poses.rotation[i]),
+                         Pose(arm.tip_position, arm.tip_rotation), chain.rows, chain.in_tool)
+        orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * joints.scaling)
+        step = step_to_pose(orthogonal, upper, error)
+        for j in range(len(q)):
+            there = arm.q[j] + joints.scaling[j] * step[j]
+            arm.q[j] = min(max(there, joints.position_min[j]), joints.position_max[j])
+        nodes[i] = arm.q
+    return nodes
 
-    Args:
-        q: (n,) where it starts.
-        due: the pose.
-        screws, rotations, positions: from `JointFrames.at`.
-        chain: the arm.
-        joints: see there.
-    """
-    arm = new_kinematics_compiled(q, len(chain.rows), 0)
-    fill_tip(screws, rotations, positions, chain, arm)
-    error = error_to(due, Pose(arm.tip_position, arm.tip_rotation), chain.rows, chain.in_tool)
-    orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * joints.scaling)
-    step = joints.scaling * step_to_pose(orthogonal, upper, error)
-    return np.minimum(np.maximum(q + step, joints.position_min), joints.position_max)
+
+@entry
+def _least_norm_path(q: Vector, poses: Poses, chain: Chain, joints: PathJoints) -> Array:
+    """Do what `least_norm_nodes` does, for Python."""
+    return least_norm_nodes(q, poses, chain, joints)

@@ -13,16 +13,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.horizon.least_norm_path import least_norm_path
+from redundant_planner.core.horizon.least_norm_path import least_norm_nodes, PathJoints
 from redundant_planner.core.horizon.path_qp import intrusion_price, PathQP, Plan
 from redundant_planner.core.horizon.poses_ahead import Poses
-from redundant_planner.core.obstacles.clearance import link_clearance
+from redundant_planner.core.kernels import compiled, entry, Matrix, Stack, Vector
+from redundant_planner.core.obstacles.clearance import measure, Pairs
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.robot.kinematics import (
+    Chain,
+    fill_tip,
+    links_along,
+    new_kinematics_compiled,
+    new_places,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -39,7 +48,7 @@ class _Search:
         q, poses, times, obstacles: the snapshot.
         aside: (n,) the direction looked in; its projection on the null space counts.
         size: of a step aside [rad, m].
-        start: (n,) where the next path starts.
+        start: (n,) where the last path started.
         elapsed: time since the snapshot [s].
         paths: what was seen to one side and then the other, outwards each: postures (N, n) and
             their price (N,).
@@ -101,52 +110,116 @@ class MultiStart:
             self._searches += 1
             self._search = _Search(
                 q, poses, self._problem.times, obstacles, aside, size, q)
-        search, problem = self._search, self._problem
-        nodes = least_norm_path(problem.robot, search.start, search.poses, problem.joints)
-        search.paths.append((nodes, self._price(nodes, search)))
-        if len(search.paths) > 2 * _SIDE_STEPS:
-            self._search = None
-            return Plan(self._cheapest(search), search.q, search.times), search.elapsed
-        if len(search.paths) == _SIDE_STEPS + 1:
+        search, looks = self._search, len(self._search.paths)
+        if looks == _SIDE_STEPS + 1:
             search.start, search.aside = search.q, -search.aside
-        search.start, search.aside = self._side_step(search.start, search.aside, search.size)
-        return None
+        seen = _look_aside(
+            search.start, search.aside, search.size if looks else 0.0, _Snapshot(
+                search.poses, search.times, search.obstacles),
+            self._problem.robot.chain, self._problem.joints)
+        search.start, search.aside = seen.start, seen.aside
+        search.paths.append((seen.nodes, seen.price))
+        if len(search.paths) <= 2 * _SIDE_STEPS:
+            return None
+        self._search = None
+        nodes, prices = map(np.array, zip(*search.paths))
+        way = _cheapest(search.q, nodes, prices, search.times, self._problem.joints.scaling)
+        return Plan(way, search.q, search.times), search.elapsed
 
-    def _side_step(self, q: Array, aside: Array, size: float) -> tuple[Array, Array]:
-        """Return a posture (n,) a step aside with the same tip pose, and the step's direction."""
-        robot, joints = self._problem.robot, self._problem.joints
-        arm = robot.kinematics(q)
+
+class _Snapshot(NamedTuple):
+    """The problem when a search began; see `_Search`."""
+
+    poses: Poses
+    times: Vector
+    obstacles: InflatedObstacles
+
+
+class _Seen(NamedTuple):
+    """One path of a search.
+
+    Attributes:
+        nodes: (N, n) its postures.
+        price: (N,) of being there.
+        start: (n,) where it starts.
+        aside: (n,) the direction of the last step aside.
+    """
+
+    nodes: Matrix
+    price: Vector
+    start: Vector
+    aside: Vector
+
+
+@entry
+def _look_aside(
+    start: Vector, aside: Vector, size: float, problem: _Snapshot, chain: Chain,
+    joints: PathJoints,
+) -> _Seen:
+    """Return the least-norm path from a posture a step aside of another one.
+
+    The step leads along the null space, and back to the same tip pose.
+
+    Args:
+        start: (n,) the other posture.
+        aside: (n,) where the step leads; its projection on the null space counts.
+        size: of the step [rad, m]; 0 for the path from `start` itself.
+        problem: what the path is for.
+        chain, joints: the arm.
+    """
+    posture, step = start.copy(), aside.copy()
+    if size > 0.0:
+        arm = new_kinematics_compiled(start, len(chain.rows), 0)
+        fill_tip(chain, new_places(len(start)), arm)
         step = null_space.project(
             null_space.decompose(arm.jacobian * joints.scaling), aside / joints.scaling)
-        step *= joints.scaling / max(math.sqrt(step @ step), 1e-9)
-        pose = Poses(arm.tip_position[None], arm.tip_rotation[None])
-        return least_norm_path(robot, q + size * step, pose, joints)[0], step
+        step *= joints.scaling / max(math.sqrt(np.sum(step * step)), 1e-9)
+        pose = Poses(arm.tip_position.reshape(1, 3), arm.tip_rotation.reshape(1, 3, 3))
+        posture = least_norm_nodes(start + size * step, pose, chain, joints)[0].copy()
+    nodes = least_norm_nodes(posture, problem.poses, chain, joints)
+    begin, end = links_along(nodes, chain)
+    price, shape = np.zeros(len(nodes)), problem.obstacles.smallest.shape
+    pairs = Pairs(np.empty(shape), np.empty(shape), np.empty(shape))
+    for i in range(len(nodes)):
+        measure(problem.obstacles, begin[i], end[i], problem.times[i + 1], -np.inf, pairs)
+        nearest = pairs.distance.min() if pairs.distance.size > 0 else np.inf
+        price[i] = intrusion_price(-nearest)
+    return _Seen(nodes, price, posture, step)
 
-    def _price(self, nodes: Array, search: _Search) -> Array:
-        """Return the price of being at postures (N, n), (N,)."""
-        arms = self._problem.robot.kinematics_along(nodes)
-        pairs = link_clearance(
-            search.obstacles, arms.segment_start, arms.segment_end, search.times[1:], -math.inf)
-        return intrusion_price(-pairs.distance.min(axis=(1, 2), initial=np.inf))
 
-    def _cheapest(self, search: _Search) -> Array:
-        """Return the cheapest way (N, n) through a search's postures, by dynamic programming."""
-        postures = np.array([nodes for nodes, _ in search.paths]).transpose(1, 0, 2)
-        prices = np.array([price for _, price in search.paths]).T
-        stiffness = 1.0 / np.diff(search.times)
-        scaled = postures / self._problem.joints.scaling
-        gaps = scaled[:-1, :, None] - scaled[1:, None]
-        steps = (gaps * gaps).sum(axis=-1) * stiffness[1:, None, None]
-        first = scaled[0] - search.q / self._problem.joints.scaling
-        value = (first * first).sum(axis=-1) * stiffness[0] + prices[0]
-        origins = []
-        for step, price in zip(steps, prices[1:]):
-            total = value[:, None] + step
-            origins.append(total.argmin(axis=0))
-            value = total.min(axis=0) + price
-        at = int(value.argmin())
-        way = [at]
-        for origin in reversed(origins):
-            at = int(origin[at])
-            way.append(at)
-        return postures[np.arange(len(way)), way[::-1]]
+@compiled
+def _cheapest(
+    q: Vector, nodes: Stack, prices: Matrix, times: Vector, scaling: Vector,
+) -> Array:
+    """Return the cheapest way (N, n) through a search's postures, by dynamic programming.
+
+    Args:
+        q: (n,) where it starts.
+        nodes: (p, N, n) the postures of p paths.
+        prices: (p, N) of being there.
+        times: (N + 1,) of start and nodes [s].
+        scaling: (n,) of the joints, see `PathJoints`.
+    """
+    paths, count, n = nodes.shape
+    value, origins = np.empty(paths), np.empty((count, paths), np.intp)
+    totals = np.empty(paths)
+    for i in range(count):
+        stiffness = 1.0 / (times[i + 1] - times[i])
+        for path in range(paths):
+            least, origin = np.inf, 0
+            for before in range(paths if i > 0 else 1):
+                squared = 0.0
+                for j in range(n):
+                    at = nodes[before, i - 1, j] if i > 0 else q[j]
+                    gap = (nodes[path, i, j] - at) / scaling[j]
+                    squared += gap * gap
+                total = stiffness * squared + (value[before] if i > 0 else 0.0)
+                if total < least:
+                    least, origin = total, before
+            totals[path], origins[i, path] = least + prices[path, i], origin
+        value[:] = totals
+    way, path = np.empty((count, n)), int(value.argmin())
+    for i in range(count - 1, -1, -1):
+        way[i] = nodes[path, i]
+        path = origins[i, path]
+    return way

@@ -31,7 +31,7 @@ from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs_along
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.cone import cone_room
-from redundant_planner.core.robot.kinematics import Chain, KinematicsAlong
+from redundant_planner.core.robot.kinematics import along_in, Chain, KinematicsAlong
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 
@@ -96,12 +96,13 @@ class Plan(NamedTuple):
     @property
     def price(self) -> float:
         """Its cost with that of being inside a clearance."""
-        return self.measures.cost + float(intrusion_price(self.measures.intrusion))
+        return self.measures.cost + intrusion_price(self.measures.intrusion)
 
 
-def intrusion_price(intrusion: Array | float) -> Array:
-    """Return what it costs to be that far inside a clearance [m], for scalars and arrays."""
-    return _INTRUSION_PRICE * np.maximum(np.add(intrusion, _CLEARANCE_RESERVE), 0.0)
+@compiled
+def intrusion_price(intrusion: float) -> float:
+    """Return what it costs to be that far inside a clearance [m]."""
+    return _INTRUSION_PRICE * max(intrusion + _CLEARANCE_RESERVE, 0.0)
 
 
 class LocalProblem(NamedTuple):
@@ -115,6 +116,8 @@ class LocalProblem(NamedTuple):
             the tip's cone at each of them, if there is one.
         bounds: (p,) what a step must add to ρ, or to the room in the cone, at least.
         at: (p,) their nodes.
+        smallest: (N, n) the nodes of least cost, as if nothing bounded them.
+        unbounded: whether these break none of the bounds: then they are the solution.
     """
 
     base: Matrix
@@ -124,6 +127,8 @@ class LocalProblem(NamedTuple):
     gradients: Matrix
     bounds: Vector
     at: Indices
+    smallest: Matrix
+    unbounded: bool
 
 
 class _Linearised(NamedTuple):
@@ -174,13 +179,15 @@ class PathQP:
             poses: N, where the tip has to be.
             obstacles: the obstacles now.
         """
-        arms = self.robot.kinematics_along(nodes)
         measures, local = _linearised(
-            q, arms, poses, obstacles, self.times, self.robot.chain, self.joints)
+            q, nodes, poses, obstacles, self.times, self.robot.chain, self.joints)
         return Plan(nodes, q, self.times, measures), local
 
     def improved(self, plan: Plan, local: LocalProblem) -> Plan | None:
         """Return the QP's solution about a plan; None where it has none."""
+        self.cut_short = False
+        if local.unbounded:
+            return plan._replace(nodes=local.smallest)
         joints = self.joints
         rows, most, least, sense = _constraints(local, joints.position_min, joints.position_max)
         w, _, flag, _ = daqp.solve(
@@ -189,9 +196,7 @@ class PathQP:
         if flag not in (_SOLVED, _SOLVED_SOFTLY, _OUT_OF_ITERATIONS) or not np.isfinite(w).all():
             return None
         w = np.minimum(np.maximum(w, -_LARGEST_STEP), _LARGEST_STEP)
-        count, free, _ = local.directions.shape
-        step = (w.reshape(count, 1, free) @ local.directions)[:, 0]
-        return plan._replace(nodes=local.base + step)
+        return plan._replace(nodes=_stepped(local.base, local.directions, w))
 
 
 @compiled
@@ -298,27 +303,92 @@ def _path_cost(
     return cost, linear, hessian
 
 
+@compiled
+def _stepped(base: Matrix, directions: Stack, w: Vector) -> Array:
+    """Return the nodes (N, n) that a step w (N (n − m),) leads to, see `LocalProblem`."""
+    count, free, n = directions.shape
+    nodes = base.copy()
+    for i in range(count):
+        for k in range(free):
+            for j in range(n):
+                nodes[i, j] += w[i * free + k] * directions[i, k, j]
+    return nodes
+
+
+@compiled
+def smallest_of(hessian: Matrix, linear: Vector, band: int) -> Array:
+    """Return the w of least ½ wᵀ H w + cᵀ w, by a Cholesky decomposition of H.
+
+    Args:
+        hessian: H (k, k), positive definite.
+        linear: c (k,).
+        band: entries of H that are further than this from its diagonal are 0.
+    """
+    size = len(linear)
+    lower, w = np.zeros((size, size)), np.empty(size)
+    for i in range(size):
+        first = max(i - band, 0)
+        for j in range(first, i + 1):
+            total = hessian[i, j]
+            for k in range(first, j):
+                total -= lower[i, k] * lower[j, k]
+            lower[i, j] = math.sqrt(total) if i == j else total / lower[j, j]
+        total = -linear[i]
+        for k in range(first, i):
+            total -= lower[i, k] * w[k]
+        w[i] = total / lower[i, i]
+    for i in range(size - 1, -1, -1):
+        total = w[i]
+        for k in range(i + 1, min(i + band + 1, size)):
+            total -= lower[k, i] * w[k]
+        w[i] = total / lower[i, i]
+    return w
+
+
+@kernel
+def _breaks_no_bound(
+    w: Vector, smallest: Matrix, local: LocalProblem, joints: PathJoints,
+) -> bool:
+    """Return whether a step w, which leads to nodes (N, n), meets all that `_constraints` lists."""
+    count, n = smallest.shape
+    for step in w:
+        if abs(step) > _LARGEST_STEP:
+            return False
+    for i in range(count):
+        for j in range(n):
+            if not joints.position_min[j] <= smallest[i, j] <= joints.position_max[j]:
+                return False
+    for row in range(len(local.bounds)):
+        at, change = local.at[row], 0.0
+        for j in range(n):
+            change += local.gradients[row, j] * (smallest[at, j] - local.base[at, j])
+        if change < local.bounds[row]:
+            return False
+    return True
+
+
 @entry
 def _linearised(
-    q: Vector, arms: KinematicsAlong, poses: Poses, obstacles: InflatedObstacles,
-    times: Vector, chain: Chain, joints: PathJoints,
+    q: Vector, nodes: Matrix, poses: Poses, obstacles: InflatedObstacles, times: Vector,
+    chain: Chain, joints: PathJoints,
 ) -> _Linearised:
     """Return what a plan's nodes measure, and the QP about them.
 
     Args:
         q: (n,) where the arm is.
-        arms: at the plan's nodes.
+        nodes: (N, n) the plan's.
         poses, obstacles: the problem.
         times: (N + 1,) of the nodes [s].
         chain: the arm.
         joints: see there.
     """
-    count, n = arms.q.shape
+    count, n = nodes.shape
     beyond = -np.inf
     for i in range(count):
         for j in range(n):
-            beyond = max(beyond, arms.q[i, j] - joints.position_max[j],
-                         joints.position_min[j] - arms.q[i, j])
+            beyond = max(beyond, nodes[i, j] - joints.position_max[j],
+                         joints.position_min[j] - nodes[i, j])
+    arms = along_in(nodes, chain)
     followed = _followed(arms, poses, chain, joints.scaling)
     cost, linear, hessian = _path_cost(
         q, followed.base, followed.basis, times, joints)
@@ -337,10 +407,14 @@ def _linearised(
             bounds[i] = -room
         for j in range(n):
             bounds[i] -= gradients[i, j] * followed.steps[at[i], j]
+    directions, base = followed.basis * joints.scaling, followed.base
+    w = smallest_of(hessian, linear, 2 * directions.shape[1] - 1)
+    smallest = _stepped(base, directions, w)
+    local = LocalProblem(base, directions, linear, hessian, gradients, bounds, at, smallest, True)
     return _Linearised(
         Measures(cost, followed.error, -near.nearest, beyond),
-        LocalProblem(followed.base, followed.basis * joints.scaling, linear, hessian,
-                     gradients, bounds, at))
+        LocalProblem(base, directions, linear, hessian, gradients, bounds, at, smallest,
+                     _breaks_no_bound(w, smallest, local, joints)))
 
 
 @entry

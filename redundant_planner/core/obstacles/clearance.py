@@ -32,8 +32,8 @@ from redundant_planner.core.obstacles.shapes import (
     HALF_SPACE,
     least_distance,
     nearest_on_segment,
-    Place,
 )
+from redundant_planner.core.robot.se3 import Place, place
 
 Array = npt.NDArray[np.float64]
 Number = TypeVar('Number', float, Array)
@@ -99,12 +99,6 @@ def is_contact(obstacles: InflatedObstacles, link: int, obstacle: int) -> bool:
     """Return whether a pair may touch, and is not a link and a wall."""
     return (obstacles.may_touch[link, obstacle]
             and obstacles.shapes[obstacle] != HALF_SPACE)
-
-
-@kernel
-def place(points: Matrix, i: int) -> Place:
-    """Return a point (k, 3) as numbers."""
-    return Place(points[i, 0], points[i, 1], points[i, 2])
 
 
 @kernel

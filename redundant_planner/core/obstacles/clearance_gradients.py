@@ -14,14 +14,14 @@ from redundant_planner.core.obstacles.clearance import (
     in_unit_ball,
     link_clearance,
     Pairs,
-    place,
     segment_in_axes,
 )
 from redundant_planner.core.obstacles.inflation import inflated_obstacles, InflatedObstacles
 from redundant_planner.core.obstacles.scene import Scene
-from redundant_planner.core.obstacles.shapes import direction_along, ELLIPSOID, Place
+from redundant_planner.core.obstacles.shapes import along, direction_along, ELLIPSOID
 from redundant_planner.core.robot.jacobian import joint_shares
 from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.robot.se3 import Place, place
 
 Array = npt.NDArray[np.float64]
 
@@ -56,8 +56,8 @@ def clearance_gradients(
 def slope_at(
     obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place, t: float,
     time: float,
-) -> Array:
-    """Return ∂ρ/∂x at the point x of a link's axis where ρ is smallest, (3,), base frame [1/m].
+) -> Place:
+    """Return ∂ρ/∂x at the point x of a link's axis where ρ is smallest, base frame [1/m].
 
     That is Aᵀ y/|y| for an ellipsoid, and ∇d/a for other shapes.
 
@@ -84,11 +84,10 @@ def slope_at(
             obstacles.shapes[obstacle], core_of(obstacles, obstacle), begin, way, t)
         size = obstacles.smallest[link, obstacle]
         a, b, c = away.x / size, away.y / size, away.z / size
-    slope = np.empty(3)
-    for axis in range(3):
-        slope[axis] = (r[obstacle, axis, 0] * a + r[obstacle, axis, 1] * b
-                       + r[obstacle, axis, 2] * c)
-    return slope
+    return Place(
+        r[obstacle, 0, 0] * a + r[obstacle, 0, 1] * b + r[obstacle, 0, 2] * c,
+        r[obstacle, 1, 0] * a + r[obstacle, 1, 1] * b + r[obstacle, 1, 2] * c,
+        r[obstacle, 2, 0] * a + r[obstacle, 2, 1] * b + r[obstacle, 2, 2] * c)
 
 
 @kernel
@@ -108,16 +107,16 @@ def clearance_gradient(
         links: at the posture.
         gradient: (n,) ∂ρ/∂q, what is written.
     """
-    point = links.start[link] + t * (links.end[link] - links.start[link])
-    slope = slope_at(
-        obstacles, link, obstacle, place(links.start, link), place(links.end, link), t, time)
+    start, end = place(links.start, link), place(links.end, link)
+    point = along(start, Place(end.x - start.x, end.y - start.y, end.z - start.z), t)
+    slope = slope_at(obstacles, link, obstacle, start, end, t, time)
     joint_shares(links.joint_screws, point, slope, links.supports[link], gradient)
     if obstacles.speeds[obstacle] == 0.0:
         return 0.0
-    a, b, c = from_center(obstacles, obstacle, time, point[0], point[1], point[2])
+    a, b, c = from_center(obstacles, obstacle, time, point.x, point.y, point.z)
     x, y, z, u, v, w = obstacles.twists[obstacle]
-    return -(slope[0] * (x + v * c - w * b) + slope[1] * (y + w * a - u * c)
-             + slope[2] * (z + u * b - v * a))
+    return -(slope.x * (x + v * c - w * b) + slope.y * (y + w * a - u * c)
+             + slope.z * (z + u * b - v * a))
 
 
 @compiled
@@ -156,4 +155,4 @@ def surface_point(
         return point, some.centers[at] + (point - some.centers[at]) / size
     slope = slope_at(some, 0, at, Place(*start.tolist()), Place(*end.tolist()),
                      float(pairs.parameter[0, at]), 0.0)
-    return point, point - float(pairs.distance[0, at]) * some.smallest[0, at] * slope
+    return point, point - float(pairs.distance[0, at]) * some.smallest[0, at] * np.array(slope)

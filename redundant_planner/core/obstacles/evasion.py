@@ -27,11 +27,10 @@ from redundant_planner.core.obstacles.clearance import (
     in_unit_ball,
     is_contact,
     link_pair,
-    place,
 )
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.self_collision import nearest_parameters
-from redundant_planner.core.obstacles.shapes import ELLIPSOID, Place
+from redundant_planner.core.obstacles.shapes import ELLIPSOID
 from redundant_planner.core.obstacles.turns import (
     best_turn,
     Choice,
@@ -42,6 +41,7 @@ from redundant_planner.core.obstacles.turns import (
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.kinematics import Kinematics, Links
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Place, place
 
 Array = npt.NDArray[np.float64]
 

@@ -16,7 +16,6 @@ from redundant_planner.core.obstacles.clearance import (
     measure_along,
     Pairs,
     PairsAlong,
-    place,
     segment_in_axes,
 )
 from redundant_planner.core.obstacles.clearance_gradients import (
@@ -26,6 +25,7 @@ from redundant_planner.core.obstacles.clearance_gradients import (
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.shapes import along, ELLIPSOID, flat_stretch, signed_distance
 from redundant_planner.core.robot.kinematics import Chain, KinematicsAlong, Links
+from redundant_planner.core.robot.se3 import place
 
 Array = npt.NDArray[np.float64]
 

@@ -34,8 +34,9 @@ from redundant_planner.core.kernels import (
 )
 from redundant_planner.core.obstacles.inflation import inflated_obstacles, InflatedObstacles
 from redundant_planner.core.obstacles.scene import Scene
-from redundant_planner.core.obstacles.shapes import ELLIPSOID, HALF_SPACE, least_distance, Place
+from redundant_planner.core.obstacles.shapes import ELLIPSOID, HALF_SPACE, least_distance
 from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.se3 import Place
 
 Array = npt.NDArray[np.float64]
 

@@ -21,6 +21,7 @@ from redundant_planner.core.kernels import (
 )
 from redundant_planner.core.robot.jacobian import joint_shares
 from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.robot.se3 import Place, place
 
 Array = npt.NDArray[np.float64]
 
@@ -117,9 +118,11 @@ def distance_gradients(
     gradient = np.empty((len(chosen), joint_screws.shape[1]))
     for row in range(len(chosen)):
         pair = chosen[row]
-        gap = points[pair, 0] - points[pair, 1]
-        size = max(math.sqrt(gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2]), 1e-9)
-        joint_shares(joint_screws, points[pair, 0], gap / size, supports[pair], gradient[row])
+        one, other = place(points[pair], 0), place(points[pair], 1)
+        x, y, z = one.x - other.x, one.y - other.y, one.z - other.z
+        size = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+        joint_shares(joint_screws, one, Place(x / size, y / size, z / size), supports[pair],
+                     gradient[row])
     return gradient
 
 

@@ -14,12 +14,12 @@ Ellipsoids are measured otherwise (`clearance.py`).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from redundant_planner.core.kernels import compiled, kernel
 from redundant_planner.core.obstacles import obstacle
+from redundant_planner.core.robot.se3 import Place
 
 # The shapes as compiled code knows them.
 ELLIPSOID, BOX, CYLINDER, CAPSULE, HALF_SPACE = map(obstacle.SHAPES.index, (
@@ -37,14 +37,6 @@ _TOUCHING = 1e-12
 _ASIDE = 1e-7
 _KINKS = 6
 _TINY = float(np.finfo(float).tiny)
-
-
-class Place(NamedTuple):
-    """A point or vector in an obstacle's own axes [m]."""
-
-    x: float
-    y: float
-    z: float
 
 
 @kernel

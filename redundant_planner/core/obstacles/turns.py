@@ -24,8 +24,9 @@ from redundant_planner.core.kernels import (
 )
 from redundant_planner.core.obstacles.clearance import is_contact, link_pair
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
-from redundant_planner.core.obstacles.shapes import ELLIPSOID, Place
+from redundant_planner.core.obstacles.shapes import ELLIPSOID
 from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.robot.se3 import Place
 
 Array = npt.NDArray[np.float64]
 

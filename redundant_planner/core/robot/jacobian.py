@@ -14,32 +14,32 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, OutVector, Vector
+from redundant_planner.core.robot.se3 import Place
 
 Array = npt.NDArray[np.float64]
 
 
 @kernel
 def joint_shares(
-    joint_screws: Matrix, point: Vector, force: Vector, supports: Vector, shares: OutVector,
+    joint_screws: Matrix, point: Place, force: Place, supports: Vector, shares: OutVector,
 ) -> None:
     """Write the joints' shares in f · ẋ of a point x, (n,): f · v_j + (x × f) · w_j.
 
     Args:
         joint_screws: (6, n) [v_j; w_j] at the base origin.
-        point: (3,) x in the base frame [m].
-        force: (3,) f, of any unit.
+        point: x in the base frame [m].
+        force: f, of any unit.
         supports: (n,) factors: 1 where a joint moves the point, else 0.
         shares: (n,) what is written [unit of f times m/rad, or of f].
     """
-    x1, x2, x3 = point
-    f1, f2, f3 = force
+    x = point.y * force.z - point.z * force.y
+    y = point.z * force.x - point.x * force.z
+    z = point.x * force.y - point.y * force.x
     for j in range(len(shares)):
-        shares[j] = 0.0
-        if supports[j] != 0.0:
-            v1, v2, v3, w1, w2, w3 = joint_screws[:, j]
-            shares[j] = supports[j] * (
-                f1 * v1 + f2 * v2 + f3 * v3 + (x2 * f3 - x3 * f2) * w1
-                + (x3 * f1 - x1 * f3) * w2 + (x1 * f2 - x2 * f1) * w3)
+        shares[j] = supports[j] * (
+            force.x * joint_screws[0, j] + force.y * joint_screws[1, j]
+            + force.z * joint_screws[2, j] + x * joint_screws[3, j] + y * joint_screws[4, j]
+            + z * joint_screws[5, j])
 
 
 def jacobian_derivative(jacobian: Array) -> Array:

@@ -1,13 +1,19 @@
-"""Forward kinematics and Jacobians at one posture, from the joints' screws and placements."""
+"""Forward kinematics and Jacobians of a serial chain, at one posture or at several.
+
+Pinocchio reads the robot; where its joints sit in each other's frames comes from its model. The
+product of these placements is written here, because a tick that plans needs it at a dozen
+postures: calling Pinocchio from Python for each would take longer than all the rest of the tick.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import entry, Indices, kernel, Matrix, Stack, Stacks, Vector
+from redundant_planner.core.kernels import entry, Indices, kernel, Matrix, OutMatrix, Stack, Vector
 
 Array = npt.NDArray[np.float64]
 
@@ -68,6 +74,10 @@ class Chain(NamedTuple):
     """What stays the same at every posture.
 
     Attributes:
+        placed: (n, 3, 3) each joint's axes at position 0 in the frame of the joint before.
+        offset: (n, 3) its origin there [m].
+        motion: (n, 6) [v; w] what the joint does per unit of q̇, in its own frame: v is 0 for a
+            revolute joint, w for a prismatic one, and the other is a unit vector.
         tip_joint: number of the joint that carries the tip frame.
         tip_in_joint: (3, 3) the tip's axes in that joint's frame.
         tip_from_joint: (3,) its origin there [m].
@@ -78,6 +88,9 @@ class Chain(NamedTuple):
         in_tool: whether J is wanted in tool axes.
     """
 
+    placed: Stack
+    offset: Matrix
+    motion: Matrix
     tip_joint: int
     tip_in_joint: Matrix
     tip_from_joint: Vector
@@ -99,67 +112,141 @@ def new_kinematics(q: Vector, m: int, links: int) -> Kinematics:
 new_kinematics_compiled = kernel(new_kinematics)
 
 
+class JointPlaces(NamedTuple):
+    """Where the joints are at one posture, in the base frame; the base itself comes first.
+
+    Attributes:
+        rotation: (n + 1, 3, 3) their axes.
+        position: (n + 1, 3) their origins [m].
+    """
+
+    rotation: Stack
+    position: Matrix
+
+
 @kernel
-def fill_tip(
-    screws: Matrix, rotations: Stack, positions: Matrix, chain: Chain, arm: Kinematics,
-) -> None:
-    """Write the tip's pose, the joint screws and the Jacobians of an arm, see `fill`."""
+def new_places(n: int) -> JointPlaces:
+    """Return the arrays of `JointPlaces`; the base is in them."""
+    places = JointPlaces(np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)))
+    places.rotation[0], places.position[0] = np.eye(3), 0.0
+    return places
+
+
+@kernel
+def _product(a: Matrix, b: Matrix, product: OutMatrix) -> None:
+    """Write a b, (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@kernel
+def _turn(x: float, y: float, z: float, angle: float, rotation: OutMatrix) -> None:
+    """Turn axes (3, 3) about a unit vector given in them (Rodrigues' formula)."""
+    sine, cosine = math.sin(angle), math.cos(angle)
+    rest = 1.0 - cosine
+    for i in range(3):
+        a, b, c = rotation[i]
+        along = rest * (a * x + b * y + c * z)
+        rotation[i, 0] = cosine * a + along * x + sine * (b * z - c * y)
+        rotation[i, 1] = cosine * b + along * y + sine * (c * x - a * z)
+        rotation[i, 2] = cosine * c + along * z + sine * (a * y - b * x)
+
+
+@kernel
+def place_joints(q: Vector, chain: Chain, places: JointPlaces, screws: OutMatrix) -> None:
+    """Write where the joints are at a posture (n,), and their screws (6, n), see `Kinematics`."""
+    rotation, position = places.rotation, places.position
+    for j in range(len(q)):
+        before, here, at = rotation[j], rotation[j + 1], position[j + 1]
+        _product(before, chain.placed[j], here)
+        for axis in range(3):
+            at[axis] = position[j, axis] + (
+                before[axis, 0] * chain.offset[j, 0] + before[axis, 1] * chain.offset[j, 1]
+                + before[axis, 2] * chain.offset[j, 2])
+        a, b, c, x, y, z = chain.motion[j]
+        for axis in range(3):
+            slide = here[axis, 0] * a + here[axis, 1] * b + here[axis, 2] * c
+            at[axis] += q[j] * slide
+            screws[axis, j] = slide
+            screws[3 + axis, j] = here[axis, 0] * x + here[axis, 1] * y + here[axis, 2] * z
+        # The base origin as a point of the turning body: v = x × w.
+        u, v, w = screws[3, j], screws[4, j], screws[5, j]
+        screws[0, j] += at[1] * w - at[2] * v
+        screws[1, j] += at[2] * u - at[0] * w
+        screws[2, j] += at[0] * v - at[1] * u
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            _turn(x, y, z, q[j], here)
+
+
+@kernel
+def _fill_tip(places: JointPlaces, chain: Chain, arm: Kinematics) -> None:
+    """Write the tip's pose and the Jacobians of an arm whose joints are placed."""
+    rotations, positions = places.rotation, places.position
     joint, position, rotation = chain.tip_joint, arm.tip_position, arm.tip_rotation
     for axis in range(3):
         position[axis] = positions[joint, axis]
         for k in range(3):
             position[axis] += rotations[joint, axis, k] * chain.tip_from_joint[k]
-            rotation[axis, k] = 0.0
-            for other in range(3):
-                rotation[axis, k] += (
-                    rotations[joint, axis, other] * chain.tip_in_joint[other, k])
+    _product(rotations[joint], chain.tip_in_joint, rotation)
     x, y, z = position
-    tip_jacobian, jacobian, rows = arm.tip_jacobian, arm.jacobian, chain.rows
-    for j in range(len(screws)):
-        v1, v2, v3, w1, w2, w3 = screws[j]
-        arm.joint_screws[:, j] = screws[j]
+    screws, tip_jacobian, jacobian, rows = (
+        arm.joint_screws, arm.tip_jacobian, arm.jacobian, chain.rows)
+    for j in range(screws.shape[1]):
+        v1, v2, v3, w1, w2, w3 = screws[:, j]
         # v = v₀ + w × x at the tip point x.
         tip_jacobian[0, j] = v1 + w2 * z - w3 * y
         tip_jacobian[1, j] = v2 + w3 * x - w1 * z
         tip_jacobian[2, j] = v3 + w1 * y - w2 * x
-        tip_jacobian[3:, j] = screws[j, 3:]
+        tip_jacobian[3, j], tip_jacobian[4, j], tip_jacobian[5, j] = w1, w2, w3
         for i in range(len(rows)):
-            jacobian[i, j] = tip_jacobian[rows[i], j]
             if chain.in_tool:
                 part, axis = 3 * (rows[i] // 3), rows[i] % 3
-                jacobian[i, j] = 0.0
-                for k in range(3):
-                    jacobian[i, j] += rotation[k, axis] * tip_jacobian[part + k, j]
+                jacobian[i, j] = (rotation[0, axis] * tip_jacobian[part, j]
+                                  + rotation[1, axis] * tip_jacobian[part + 1, j]
+                                  + rotation[2, axis] * tip_jacobian[part + 2, j])
+            else:
+                jacobian[i, j] = tip_jacobian[rows[i], j]
 
 
 @kernel
-def fill(
-    screws: Matrix, rotations: Stack, positions: Matrix, chain: Chain, arm: Kinematics,
-) -> None:
-    """Write all fields of an arm's kinematics but the posture.
-
-    Args:
-        screws, rotations, positions: from `JointFrames.at`.
-        chain: the arm.
-        arm: what is written.
-    """
-    fill_tip(screws, rotations, positions, chain, arm)
-    start, end = arm.segment_start, arm.segment_end
+def _fill_links(places: JointPlaces, chain: Chain, start: OutMatrix, end: OutMatrix) -> None:
+    """Write the ends of the capsules, (c, 3) each [m]."""
     for capsule in range(len(chain.capsule_joint)):
         joint, ends = chain.capsule_joint[capsule], chain.capsule_ends[capsule]
+        rotation, position = places.rotation[joint], places.position[joint]
         for axis in range(3):
-            start[capsule, axis] = end[capsule, axis] = positions[joint, axis]
-            for k in range(3):
-                start[capsule, axis] += rotations[joint, axis, k] * ends[k, 0]
-                end[capsule, axis] += rotations[joint, axis, k] * ends[k, 1]
+            a, b, c = rotation[axis]
+            start[capsule, axis] = (
+                position[axis] + a * ends[0, 0] + b * ends[1, 0] + c * ends[2, 0])
+            end[capsule, axis] = (
+                position[axis] + a * ends[0, 1] + b * ends[1, 1] + c * ends[2, 1])
+
+
+@kernel
+def fill_tip(chain: Chain, places: JointPlaces, arm: Kinematics) -> None:
+    """Write an arm's kinematics but for its capsules.
+
+    Args:
+        chain: the arm.
+        places: room for its joints, from `new_places`.
+        arm: what is written.
+    """
+    place_joints(arm.q, chain, places, arm.joint_screws)
+    _fill_tip(places, chain, arm)
+
+
+@kernel
+def fill(chain: Chain, places: JointPlaces, arm: Kinematics) -> None:
+    """Write an arm's kinematics at the posture that is in it, see `fill_tip`."""
+    fill_tip(chain, places, arm)
+    _fill_links(places, chain, arm.segment_start, arm.segment_end)
 
 
 @entry
-def fill_kinematics(
-    screws: Matrix, rotations: Stack, positions: Matrix, chain: Chain, arm: Kinematics,
-) -> None:
+def fill_kinematics(chain: Chain, arm: Kinematics) -> None:
     """Do what `fill` does, for Python, which hands arrays over sooner than it takes them back."""
-    fill(screws, rotations, positions, chain, arm)
+    fill(chain, new_places(len(arm.q)), arm)
 
 
 @kernel
@@ -170,17 +257,35 @@ def one_of(arms: KinematicsAlong, at: int) -> Kinematics:
         arms.tip_jacobian[at], arms.jacobian[at], arms.segment_start[at], arms.segment_end[at])
 
 
-@entry
-def kinematics_along(
-    q: Matrix, screws: Stack, rotations: Stacks, positions: Stack, chain: Chain,
-) -> KinematicsAlong:
-    """Return the arm's kinematics at N postures (N, n); N leads every argument, see `fill`."""
+@kernel
+def along_in(q: Matrix, chain: Chain) -> KinematicsAlong:
+    """Return the arm's kinematics at N postures (N, n): N leads every array."""
     count, n = q.shape
     m, links = len(chain.rows), len(chain.capsule_joint)
     arms = KinematicsAlong(
         q.copy(), np.empty((count, 6, n)), np.empty((count, 3)), np.empty((count, 3, 3)),
         np.empty((count, 6, n)), np.empty((count, m, n)), np.empty((count, links, 3)),
         np.empty((count, links, 3)))
+    places = new_places(n)
     for i in range(count):
-        fill(screws[i], rotations[i], positions[i], chain, one_of(arms, i))
+        fill(chain, places, one_of(arms, i))
     return arms
+
+
+@kernel
+def links_along(q: Matrix, chain: Chain) -> tuple[Stack, Stack]:
+    """Return the ends of the capsules at N postures (N, n), (N, c, 3) each [m]."""
+    count, n = q.shape
+    links = len(chain.capsule_joint)
+    start, end = np.empty((count, links, 3)), np.empty((count, links, 3))
+    places, screws = new_places(n), np.empty((6, n))
+    for i in range(count):
+        place_joints(q[i], chain, places, screws)
+        _fill_links(places, chain, start[i], end[i])
+    return start, end
+
+
+@entry
+def kinematics_along(q: Matrix, chain: Chain) -> KinematicsAlong:
+    """Do what `along_in` does, for Python."""
+    return along_in(q, chain)

@@ -17,7 +17,6 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import AXES, COMMAND_FRAMES
 from redundant_planner.core.robot import capsules as shapes
 from redundant_planner.core.robot.capsules import Capsule
-from redundant_planner.core.robot.joint_frames import JointFrames
 from redundant_planner.core.robot.kinematics import (
     Chain,
     fill_kinematics,
@@ -30,6 +29,7 @@ from redundant_planner.core.robot.kinematics import (
 from redundant_planner.core.robot.payload import payload_capsules
 from redundant_planner.core.robot.pinocchio_model import (
     chain_joints,
+    joint_placements,
     link_id,
     model_of_chain,
     position_ranges,
@@ -69,7 +69,6 @@ class Robot:
         lever_arm_bounds: (c, n) the fastest any point of a capsule moves per unit of joint
             velocity, at any posture: a bound [m/rad, 1 for prismatic joints].
         chain: what kinematics are computed from.
-        joint_frames: where the joints are at a posture.
     """
 
     def __init__(
@@ -139,7 +138,6 @@ class Robot:
 
         self._tip_id = link_id(self._model, tip_frame)
         self.rows = np.array([AXES.index(axis) for axis in self.axes], dtype=np.intp)
-        self.joint_frames = JointFrames(self._model)
         own = tuple(
             shapes.straight_capsules(self._model, self._tip_id, link_radius)
             if capsules is None else capsules)
@@ -232,17 +230,12 @@ class Robot:
             StateError: `q` does not have n finite entries.
         """
         arm = Kinematics(self.checked_posture(q), *map(np.empty, self._shapes))
-        fill_kinematics(*self.joint_frames.at(arm.q), self.chain, arm)
+        fill_kinematics(self.chain, arm)
         return arm
 
     def kinematics_along(self, postures: Array) -> KinematicsAlong:
         """Return the kinematics at every one of N postures (N, n): N leads every array."""
-        count, n = len(postures), self.n
-        screws = np.empty((count, n, 6))
-        rotations, positions = np.empty((count, n + 1, 3, 3)), np.empty((count, n + 1, 3))
-        for i in range(count):
-            screws[i], rotations[i], positions[i] = self.joint_frames.at(postures[i])
-        return kinematics_along(postures, screws, rotations, positions, self.chain)
+        return kinematics_along(postures, self.chain)
 
     def links(self, arm: Kinematics) -> Links:
         """Return the links at a posture."""
@@ -303,8 +296,9 @@ class Robot:
         tip = self._model.frames[self._tip_id]
         capsule_joint, capsule_ends = shapes.placed(self._model, self.capsules)
         return Chain(
-            int(tip.parentJoint), np.array(tip.placement.rotation, order='C'),
-            np.array(tip.placement.translation), capsule_joint, capsule_ends,
+            *joint_placements(self._model), int(tip.parentJoint),
+            np.array(tip.placement.rotation, order='C'), np.array(tip.placement.translation),
+            capsule_joint, capsule_ends,
             shapes.supports_of(capsule_joint, self.n), self.rows, self.in_tool)
 
     def _random_arms(self) -> Iterator[Kinematics]:

@@ -35,6 +35,20 @@ class Pose(NamedTuple):
     rotation: Matrix
 
 
+class Place(NamedTuple):
+    """A point or vector as plain numbers, which the compiler keeps in registers [m]."""
+
+    x: float
+    y: float
+    z: float
+
+
+@kernel
+def place(points: Matrix, i: int) -> Place:
+    """Return a point (k, 3) as numbers."""
+    return Place(points[i, 0], points[i, 1], points[i, 2])
+
+
 def checked_pose(pose: Pose) -> Pose:
     """Return a pose as arrays of numbers.
 

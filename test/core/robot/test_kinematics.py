@@ -6,6 +6,17 @@ from conftest import central_difference, LENGTHS, PANDA_READY, random_postures
 import numpy as np
 import pinocchio as pin
 
+from redundant_planner.core.robot.model import Robot
+
+# Axes along none of the coordinates, both kinds of joints, every joint turned against the last.
+SLANTED = '<robot name="slanted"><link name="base"/>' + ''.join(
+    f'<link name="{child}"/><joint name="j{i}" type="{kind}"><parent link="{parent}"/>'
+    f'<child link="{child}"/><origin xyz="0.1 -0.2 0.3" rpy="{0.3 * i} -0.7 {1.1 - i}"/>'
+    f'<axis xyz="{axis}"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>'
+    for i, (parent, child, kind, axis) in enumerate([
+        ('base', 'a', 'revolute', '1 2 -2'), ('a', 'b', 'prismatic', '-1 0.5 0.2'),
+        ('b', 'c', 'continuous', '0 1 1'), ('c', 'tip', 'revolute', '0 0 -1')])) + '</robot>'
+
 
 def test_planar_arm_has_the_closed_form_kinematics(planar):
     # x = Σ l_i cos(q_1 + … + q_i), y = Σ l_i sin(…), angle = Σ q_i
@@ -85,3 +96,23 @@ def test_kinematics_of_many_postures_are_those_of_each(robot):
     for i, q in enumerate(postures):
         for field, value in robot.kinematics(q)._asdict().items():
             np.testing.assert_allclose(getattr(together, field)[i], value, atol=1e-12)
+
+
+def test_joints_are_where_pinocchio_has_them(robot):
+    data = robot.model.createData()
+    tip = robot.model.getFrameId(robot.tip_frame)
+    for q in random_postures(robot, 20):
+        arm = robot.kinematics(q)
+        pin.computeJointJacobians(robot.model, data, q)
+        placed = pin.updateFramePlacement(robot.model, data, tip)
+        np.testing.assert_allclose(arm.joint_screws, data.J, atol=1e-13)
+        np.testing.assert_allclose(arm.tip_position, placed.translation, atol=1e-13)
+        np.testing.assert_allclose(arm.tip_rotation, placed.rotation, atol=1e-13)
+
+
+def test_slanted_axes_and_joints_that_slide_are_where_pinocchio_has_them():
+    robot = Robot(SLANTED, 'tip', link_radius=0.0, velocity_max=1.0, axes=['vx', 'vy', 'vz'])
+    data = robot.model.createData()
+    for q in random_postures(robot, 20):
+        pin.computeJointJacobians(robot.model, data, q)
+        np.testing.assert_allclose(robot.kinematics(q).joint_screws, data.J, atol=1e-13)
