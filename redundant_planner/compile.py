@@ -25,7 +25,8 @@ STEPS = (
     (('core.obstacles.evasion', 'core.safety.barriers'),
      ('core.redundancy.reference', 'core.safety.pace', 'core.obstacles.nearby',
       'io.obstacle_tracker', 'io.preview_reader', 'perception.depth_camera')),
-    (('core.tick',), ('core.horizon.path_qp', 'perception.cloud_filter')),
+    (('core.tick',),
+     ('core.horizon.path_qp', 'core.horizon.multi_start', 'perception.cloud_filter')),
     (('core.planner',), ()),
 )
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
 from redundant_planner.core.horizon.multi_start import MultiStart
-from redundant_planner.core.horizon.path_qp import moved_on, PathQP, Plan
+from redundant_planner.core.horizon.path_qp import PathQP, Plan, taken_along
 from redundant_planner.core.horizon.poses_ahead import Poses
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.robot.model import Robot
@@ -158,11 +158,7 @@ class Horizon:
             self._found = self._problem.improved(found, local)
 
     def _moved_on(self, plan: Plan, q: Array, dt: float) -> Plan:
-        """Return a plan at the new times, by interpolation.
-
-        An arm that is beside its plan takes the plan along, or the plan's velocity would change
-        with every tick that does not improve it.
-        """
-        moved = moved_on(plan.start, plan.nodes, plan.times, self.times + dt)
-        return plan._replace(
-            nodes=moved[1:] + np.outer(self._fading, q - moved[0]), start=q, times=self.times)
+        """Return a plan at the new times; an arm that is beside its plan takes the plan along."""
+        nodes = taken_along(
+            plan.start, plan.nodes, plan.times, self.times + dt, q, self._fading)
+        return plan._replace(nodes=nodes, start=q, times=self.times)

@@ -18,8 +18,9 @@ from redundant_planner.core.horizon.poses_ahead import middles, node_times, pose
 from redundant_planner.core.horizon.preview import continued, Preview, PreviewAhead, TwistAhead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.redundancy.reference import reference_of, Start
+from redundant_planner.core.redundancy.reference import Caps, reference_of, Start
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
@@ -148,7 +149,10 @@ class LookAhead:
             twists = continued(start.command, growth, middles(times))
         else:
             twists = self._controlled * ahead(times)
-        reference = reference_of(start, self._constants, self._gains)
+        reference = reference_of(
+            start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation),
+            self._constants.rows, self._constants.in_tool,
+            Caps(self._gains.feedback_distance, self._gains.feedback_angle))
         poses = poses_ahead(reference, twists, times, self._robot.in_tool)
         self._wanted = horizon.advance(start.arm.q, poses, obstacles, elapsed)
 

@@ -221,6 +221,27 @@ def moved_on(start: Vector, nodes: Matrix, times: Vector, later: Vector) -> Arra
     return found
 
 
+@compiled
+def taken_along(
+    start: Vector, nodes: Matrix, times: Vector, later: Vector, q: Vector, fading: Vector,
+) -> Array:
+    """Return a plan's postures (L − 1, n) at later times later[1:], for an arm beside it.
+
+    At later[0] the arm is at q. The plan comes along by as much, less and less towards its end:
+    else its velocity would change with every tick that does not improve it.
+
+    Args:
+        start, nodes, times, later: as for `moved_on`.
+        q: (n,) where the arm is.
+        fading: (L − 1,) by what share of its way the plan comes along.
+    """
+    found = moved_on(start, nodes, times, later)
+    for i in range(len(fading)):
+        for j in range(len(q)):
+            found[i + 1, j] += fading[i] * (q[j] - found[0, j])
+    return found[1:]
+
+
 class _Followed(NamedTuple):
     """Nodes that follow their poses to first order.
 
@@ -349,7 +370,7 @@ def smallest_of(hessian: Matrix, linear: Vector, band: int) -> Array:
 def _breaks_no_bound(
     w: Vector, smallest: Matrix, local: LocalProblem, joints: PathJoints,
 ) -> bool:
-    """Return whether a step w, which leads to nodes (N, n), meets all that `_constraints` lists."""
+    """Return whether a step w, which leads to nodes (N, n), breaks none of the constraints."""
     count, n = smallest.shape
     for step in w:
         if abs(step) > _LARGEST_STEP:

@@ -79,6 +79,34 @@ def _apart(a: Vector, b: Vector) -> float:
     return largest
 
 
+class Caps(NamedTuple):
+    """How far the reference may be from the tip at most [m, rad]."""
+
+    distance: float
+    angle: float
+
+
+@kernel
+def _brought_along(
+    reference: Pose, tip: Pose, rows: Indices, in_tool: bool, caps: Caps,
+) -> tuple[Vector, Pose]:
+    """Return the error (6,) of the tip, and the reference, which is brought along if too far.
+
+    Args:
+        reference, tip: the poses.
+        rows, in_tool: see `RobotConstants`; other axes are brought along at once.
+        caps: how far the reference may be.
+    """
+    apart = se3.pose_error(reference, tip, in_tool)
+    error = np.zeros(6)
+    for row in rows:
+        error[row] = apart[row]
+    kept = se3.bounded(error, caps.distance, caps.angle)
+    if len(rows) < 6 or _apart(kept, error) > 0.0:
+        reference = se3.displaced(tip, kept, in_tool)
+    return kept, reference
+
+
 @compiled
 def task_of(start: Start, constants: RobotConstants, gains: Gains) -> Task:
     """Return what the tip shall do in this tick: ẋ.
@@ -86,15 +114,10 @@ def task_of(start: Start, constants: RobotConstants, gains: Gains) -> Task:
     A reference that is out of reach, or has drifted on axes that are not controlled, is brought
     along.
     """
-    arm, reference, rows = start.arm, start.reference, constants.rows
-    pose = Pose(arm.tip_position, arm.tip_rotation)
-    apart = se3.pose_error(reference, pose, constants.in_tool)
-    error = np.zeros(6)
-    for row in rows:
-        error[row] = apart[row]
-    kept = se3.bounded(error, gains.feedback_distance, gains.feedback_angle)
-    if len(rows) < 6 or _apart(kept, error) > 0.0:
-        reference = se3.displaced(pose, kept, constants.in_tool)
+    arm, rows = start.arm, constants.rows
+    kept, reference = _brought_along(
+        start.reference, Pose(arm.tip_position, arm.tip_rotation), rows, constants.in_tool,
+        Caps(gains.feedback_distance, gains.feedback_angle))
     correction = se3.feedback(
         kept, gains.feedback_gain, gains.feedback_speed, gains.feedback_angular_speed)
     nothing = np.zeros(6)
@@ -111,9 +134,11 @@ def task_of(start: Start, constants: RobotConstants, gains: Gains) -> Task:
 
 
 @entry
-def reference_of(start: Start, constants: RobotConstants, gains: Gains) -> Pose:
-    """Return the reference pose of a tick, see `task_of`."""
-    return task_of(start, constants, gains).reference
+def reference_of(
+    reference: Pose, tip: Pose, rows: Indices, in_tool: bool, caps: Caps,
+) -> Pose:
+    """Return the reference pose of a tick; arguments as for `_brought_along`."""
+    return _brought_along(reference, tip, rows, in_tool, caps)[1]
 
 
 @kernel

@@ -133,67 +133,58 @@ def new_places(n: int) -> JointPlaces:
 
 
 @kernel
-def _product(a: Matrix, b: Matrix, product: OutMatrix) -> None:
-    """Write a b, (3, 3)."""
-    for i in range(3):
-        for j in range(3):
-            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-
-
-@kernel
-def _turn(x: float, y: float, z: float, angle: float, rotation: OutMatrix) -> None:
-    """Turn axes (3, 3) about a unit vector given in them (Rodrigues' formula)."""
-    sine, cosine = math.sin(angle), math.cos(angle)
-    rest = 1.0 - cosine
-    for i in range(3):
-        a, b, c = rotation[i]
-        along = rest * (a * x + b * y + c * z)
-        rotation[i, 0] = cosine * a + along * x + sine * (b * z - c * y)
-        rotation[i, 1] = cosine * b + along * y + sine * (c * x - a * z)
-        rotation[i, 2] = cosine * c + along * z + sine * (a * y - b * x)
-
-
-@kernel
 def place_joints(q: Vector, chain: Chain, places: JointPlaces, screws: OutMatrix) -> None:
-    """Write where the joints are at a posture (n,), and their screws (6, n), see `Kinematics`."""
+    """Write where the joints are at a posture (n,), and their screws (6, n), see `Kinematics`.
+
+    A joint's axes are turned about its own axis by Rodrigues' formula, row by row.
+    """
     rotation, position = places.rotation, places.position
+    placed, offset, motion = chain.placed, chain.offset, chain.motion
     for j in range(len(q)):
-        before, here, at = rotation[j], rotation[j + 1], position[j + 1]
-        _product(before, chain.placed[j], here)
-        for axis in range(3):
-            at[axis] = position[j, axis] + (
-                before[axis, 0] * chain.offset[j, 0] + before[axis, 1] * chain.offset[j, 1]
-                + before[axis, 2] * chain.offset[j, 2])
-        a, b, c, x, y, z = chain.motion[j]
-        for axis in range(3):
-            slide = here[axis, 0] * a + here[axis, 1] * b + here[axis, 2] * c
-            at[axis] += q[j] * slide
-            screws[axis, j] = slide
-            screws[3 + axis, j] = here[axis, 0] * x + here[axis, 1] * y + here[axis, 2] * z
+        x, y, z = motion[j, 3], motion[j, 4], motion[j, 5]
+        sine, cosine = math.sin(q[j]), math.cos(q[j])
+        turns = x != 0.0 or y != 0.0 or z != 0.0
+        for i in range(3):
+            u, v, w = rotation[j, i, 0], rotation[j, i, 1], rotation[j, i, 2]
+            a = u * placed[j, 0, 0] + v * placed[j, 1, 0] + w * placed[j, 2, 0]
+            b = u * placed[j, 0, 1] + v * placed[j, 1, 1] + w * placed[j, 2, 1]
+            c = u * placed[j, 0, 2] + v * placed[j, 1, 2] + w * placed[j, 2, 2]
+            slide = a * motion[j, 0] + b * motion[j, 1] + c * motion[j, 2]
+            axis = a * x + b * y + c * z
+            position[j + 1, i] = position[j, i] + q[j] * slide + (
+                u * offset[j, 0] + v * offset[j, 1] + w * offset[j, 2])
+            screws[i, j], screws[3 + i, j] = slide, axis
+            if turns:
+                along = (1.0 - cosine) * axis
+                a, b, c = (cosine * a + along * x + sine * (b * z - c * y),
+                           cosine * b + along * y + sine * (c * x - a * z),
+                           cosine * c + along * z + sine * (a * y - b * x))
+            rotation[j + 1, i, 0], rotation[j + 1, i, 1], rotation[j + 1, i, 2] = a, b, c
         # The base origin as a point of the turning body: v = x × w.
         u, v, w = screws[3, j], screws[4, j], screws[5, j]
-        screws[0, j] += at[1] * w - at[2] * v
-        screws[1, j] += at[2] * u - at[0] * w
-        screws[2, j] += at[0] * v - at[1] * u
-        if x != 0.0 or y != 0.0 or z != 0.0:
-            _turn(x, y, z, q[j], here)
+        x, y, z = position[j + 1, 0], position[j + 1, 1], position[j + 1, 2]
+        screws[0, j] += y * w - z * v
+        screws[1, j] += z * u - x * w
+        screws[2, j] += x * v - y * u
 
 
 @kernel
 def _fill_tip(places: JointPlaces, chain: Chain, arm: Kinematics) -> None:
     """Write the tip's pose and the Jacobians of an arm whose joints are placed."""
-    rotations, positions = places.rotation, places.position
     joint, position, rotation = chain.tip_joint, arm.tip_position, arm.tip_rotation
-    for axis in range(3):
-        position[axis] = positions[joint, axis]
+    inner, offset = chain.tip_in_joint, chain.tip_from_joint
+    for i in range(3):
+        a, b, c = (places.rotation[joint, i, 0], places.rotation[joint, i, 1],
+                   places.rotation[joint, i, 2])
+        position[i] = places.position[joint, i] + a * offset[0] + b * offset[1] + c * offset[2]
         for k in range(3):
-            position[axis] += rotations[joint, axis, k] * chain.tip_from_joint[k]
-    _product(rotations[joint], chain.tip_in_joint, rotation)
-    x, y, z = position
+            rotation[i, k] = a * inner[0, k] + b * inner[1, k] + c * inner[2, k]
+    x, y, z = position[0], position[1], position[2]
     screws, tip_jacobian, jacobian, rows = (
         arm.joint_screws, arm.tip_jacobian, arm.jacobian, chain.rows)
     for j in range(screws.shape[1]):
-        v1, v2, v3, w1, w2, w3 = screws[:, j]
+        v1, v2, v3 = screws[0, j], screws[1, j], screws[2, j]
+        w1, w2, w3 = screws[3, j], screws[4, j], screws[5, j]
         # v = v₀ + w × x at the tip point x.
         tip_jacobian[0, j] = v1 + w2 * z - w3 * y
         tip_jacobian[1, j] = v2 + w3 * x - w1 * z
@@ -212,15 +203,15 @@ def _fill_tip(places: JointPlaces, chain: Chain, arm: Kinematics) -> None:
 @kernel
 def _fill_links(places: JointPlaces, chain: Chain, start: OutMatrix, end: OutMatrix) -> None:
     """Write the ends of the capsules, (c, 3) each [m]."""
-    for capsule in range(len(chain.capsule_joint)):
-        joint, ends = chain.capsule_joint[capsule], chain.capsule_ends[capsule]
-        rotation, position = places.rotation[joint], places.position[joint]
-        for axis in range(3):
-            a, b, c = rotation[axis]
-            start[capsule, axis] = (
-                position[axis] + a * ends[0, 0] + b * ends[1, 0] + c * ends[2, 0])
-            end[capsule, axis] = (
-                position[axis] + a * ends[0, 1] + b * ends[1, 1] + c * ends[2, 1])
+    rotation, position, ends = places.rotation, places.position, chain.capsule_ends
+    for k in range(len(chain.capsule_joint)):
+        joint = chain.capsule_joint[k]
+        for i in range(3):
+            a, b, c = rotation[joint, i, 0], rotation[joint, i, 1], rotation[joint, i, 2]
+            start[k, i] = (
+                position[joint, i] + a * ends[k, 0, 0] + b * ends[k, 1, 0] + c * ends[k, 2, 0])
+            end[k, i] = (
+                position[joint, i] + a * ends[k, 0, 1] + b * ends[k, 1, 1] + c * ends[k, 2, 1])
 
 
 @kernel
