@@ -284,7 +284,7 @@ CASES = [
     Case(PhysicsParameters, 'armature', 0.1, 2.0, sag, '-', FALLING),
     Case(PhysicsParameters, 'joint_damping', 1.0, 30.0, sag, '-', FALLING),
     Case(PhysicsParameters, 'gravity', (0.0, 0.0, -1.6), (0.0, 0.0, -9.81), sag, '+', FALLING),
-    Case(CloudParameters, 'reach_margin', 0.0, 1.0, voxels, '+'),
+    Case(CloudParameters, 'reach_margin', 0.0, 1.0, voxels, '+', (('min_points', 1),)),
     Case(CloudParameters, 'self_margin', 0.0, 0.05, voxels_of_the_arm, '-',
          (('stamp_uncertainty', 0.0),)),
     Case(CloudParameters, 'stamp_uncertainty', 0.0, 0.2, voxels_of_the_arm, '-',
