@@ -25,10 +25,12 @@ lint: $(VENV)/.test-ready
 docs: $(VENV)/.docs-ready
 	$(VENV)/bin/python -m sphinx -W --keep-going -b html docs build/docs
 
+# The pip that Python 3.10 brings finds no set of versions that fit together: hence the newest.
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), \
 	    f"Python 3.10 to 3.13 is needed, this is {sys.version.split()[0]}; try make PYTHON=python3.12"'
 	$(PYTHON) -m venv $(VENV)
+	$(PIP_INSTALL) --upgrade pip
 
 $(VENV)/.demo-ready: setup.py setup.cfg | $(VENV)/bin/python
 	$(PIP_INSTALL) --editable '.[jazzy,analysis]'

@@ -1,11 +1,18 @@
 """Installs the package for colcon (ament_python) and for pip alike."""
 
 from glob import glob
+from pathlib import Path
+import re
 
 from setuptools import find_packages, setup
 
 PACKAGE = 'redundant_planner'
 SHARE = f'share/{PACKAGE}'
+# A placeholder, as the maintainer's address is, until the project has a home; package.xml, too.
+HOME = f'https://example.com/{PACKAGE}'
+# The README as an index shows it, where relative links lead nowhere.
+README = re.sub(r'\]\((?!https?:|#)', f']({HOME}/blob/main/',
+                (Path(__file__).resolve().parent / 'README.md').read_text(encoding='utf-8'))
 
 # The real ROS 2 Jazzy as wheels; with ROS sourced, apt has them already.
 JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
@@ -22,13 +29,13 @@ DOCS = ['furo', 'myst-parser', 'sphinx']
 BROWSER = ['PySide6-WebEngine']
 TEST = [
     'colcon-bash', 'colcon-core', 'colcon-package-information', 'colcon-python-setup-py',
-    'colcon-ros', 'example-robot-data', 'hypothesis', 'mypy', 'pytest', 'pytest-rerunfailures',
-    'ruff', 'types-PyYAML', *MUJOCO, *VIEWER,
+    'colcon-ros', 'docutils', 'example-robot-data', 'hypothesis', 'markdown-it-py', 'mypy',
+    'pytest', 'pytest-rerunfailures', 'ruff', 'types-PyYAML', *MUJOCO, *VIEWER,
 ]
 
 setup(
     name=PACKAGE,
-    version='0.1.0',
+    version='0.2.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: ['py.typed', 'playground/page.js']},
     data_files=[
@@ -47,9 +54,28 @@ setup(
                     'browser': BROWSER, 'docs': DOCS, 'mujoco': MUJOCO,
                     'viewer': VIEWER},
     zip_safe=False,
+    author='redundant_planner developers',
     maintainer='redundant_planner developers',
     maintainer_email='maintainers@example.com',
     description='Velocity-level redundancy resolution for robot arms among obstacles',
+    long_description=README,
+    long_description_content_type='text/markdown',
+    url=HOME,
+    project_urls={'Source': HOME,
+                  'Changelog': f'{HOME}/blob/main/CHANGELOG.rst',
+                  'Documentation': f'{HOME}/blob/main/docs/index.md'},
+    keywords=['ROS 2', 'robot arm', 'redundancy resolution', 'inverse kinematics',
+              'obstacle avoidance', 'null space'],
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Developers',
+        'Intended Audience :: Science/Research',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3',
+        *(f'Programming Language :: Python :: 3.{minor}' for minor in range(10, 14)),
+        'Topic :: Scientific/Engineering',
+        'Typing :: Typed',
+    ],
     license='Apache-2.0',
     entry_points={
         'console_scripts': [

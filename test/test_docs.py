@@ -66,11 +66,3 @@ def test_the_ten_lines_are_those_of_the_first_example():
     assert shown is not None
     example = (TOP / 'examples' / '01_follow_a_twist.py').read_text()
     assert example.endswith(shown.group(1))
-
-
-def test_versions_agree():
-    import redundant_planner
-    version = redundant_planner.__version__
-    assert f"version='{version}'" in (TOP / 'setup.py').read_text()
-    assert f'<version>{version}</version>' in (TOP / 'package.xml').read_text()
-    assert version in (TOP / 'CHANGELOG.rst').read_text()

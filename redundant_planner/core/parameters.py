@@ -114,7 +114,8 @@ def _scalar(name: str, spec: Spec, kind: type, value: Any) -> Any:
     return value
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Return whether a text is a finite number."""
     try:
         return math.isfinite(float(text))
     except ValueError:
@@ -311,13 +312,13 @@ class PlannerParameters:
         description='Length of the joint path ahead where the coming command is known. Too '
                     'short, and the arm turns away late.')
     horizon_held_duration: float = parameter(
-        1.0, low=0.05, high=30.0, unit='s', runtime=True,
-        group='horizon',
+        1.0, low=0.05, high=30.0, unit='s',
+        group='horizon', node=False,
         description='Length of the joint path ahead where only the present command is known, '
                     'which is then held. Too long, and it plans for commands that will not come.')
     horizon_nodes: int = parameter(
-        12, low=2, high=32, runtime=True,
-        group='horizon',
+        12, low=2, high=32,
+        group='horizon', node=False,
         description='Number of postures of the joint path ahead. Twice as many make a planning '
                     'tick four times as long; too few cut corners.')
     horizon_look_ahead: float = parameter(
@@ -364,7 +365,7 @@ class PlannerParameters:
         """Check every value and the relations between them."""
         check(self)
         for entry in self.posture_preferred:
-            if not all(entry.partition('=')[::2]) or not _is_number(entry.partition('=')[2]):
+            if not all(entry.partition('=')[::2]) or not is_number(entry.partition('=')[2]):
                 raise ParameterError(
                     f"parameter 'posture.preferred' has {shown(entry)}; it takes "
                     "'joint=position', a joint's name and a number [rad, m]")

@@ -15,6 +15,7 @@ from redundant_planner.core.parameters import (
     AXES,
     check,
     COMMAND_FRAMES,
+    is_number,
     parameter,
     PlannerParameters,
     ros_name,
@@ -36,6 +37,9 @@ Settings = TypeVar('Settings')
 # What a parameter file may hold besides the fields of the parameter dataclasses: named things, and
 # what every ROS node takes.
 _NAMED = ('capsule', 'static_obstacle', 'self_capsule')
+
+# In `locked_joints`, for all joints outside the chain that it does not name.
+OTHERS_MEASURED = '*=measured'
 
 _EVERY_NODES = ('use_sim_time', 'qos_overrides', 'start_type_description_service')
 
@@ -75,13 +79,10 @@ class RobotParameters:
         description='Axes in which cmd_vel is expressed: base (fixed) or tool (turning with the '
                     'tip). The reference point is the tip either way.')
     locked_joints: tuple[str, ...] = parameter(
-        (), description='Joints held still at locked_positions.')
-    locked_positions: tuple[float, ...] = parameter(
-        (), low=-1e6, high=1e6, unit='rad, m', description='One position per locked joint.')
-    lock_where_measured: bool = parameter(
-        False, description='Whether planner_node holds the other joints outside the chain where '
-                           'joint_states says that they are when it starts, rather than at 0: '
-                           'grippers and second arms that nobody moves meanwhile.')
+        (), description="Joints that stand still, as 'joint=position' [rad, m]. '*=measured': "
+                        'planner_node holds the other joints outside the chain where '
+                        'joint_states says that they are when it starts, rather than at 0: '
+                        'grippers and second arms that nobody moves meanwhile.')
     velocity_max: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e4, unit='rad/s, m/s',
         description="Replaces the URDF's velocity limits: one value, or one per joint.")
@@ -109,10 +110,18 @@ class RobotParameters:
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""
         check(self)
-        if len(self.locked_joints) != len(self.locked_positions):
-            raise ParameterError(
-                f"parameter 'locked_positions' has {len(self.locked_positions)} entries; it "
-                f"takes {len(self.locked_joints)}, one per name in 'locked_joints'")
+        for entry in self.locked_joints:
+            name, _, position = entry.partition('=')
+            if entry != OTHERS_MEASURED and not (name and is_number(position)):
+                raise ParameterError(
+                    f"parameter 'locked_joints' has {shown(entry)}; it takes 'joint=position', "
+                    f"a joint's name and a number [rad, m], or '{OTHERS_MEASURED}'")
+
+    @property
+    def locked(self) -> dict[str, float]:
+        """Joint name → where it stands [rad, m]."""
+        named = (entry.partition('=') for entry in self.locked_joints if entry != OTHERS_MEASURED)
+        return {name: float(position) for name, _, position in named}
 
 
 # All groups of parameters that the nodes have.

@@ -1,4 +1,4 @@
-"""Names that parameters had in version 0.1.0: refused in files, translated in bags."""
+"""Names that parameters had once: refused in files, translated in bags."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ RENAMED: Mapping[str, str] = {
     'angular_speed_max': 'limits.angular_speed',
     'singularity_margin': 'singularity.margin',
     'horizon': 'horizon.duration',
-    'horizon_held': 'horizon.held_duration',
-    'horizon_nodes': 'horizon.nodes',
     'look_ahead': 'horizon.look_ahead',
     'drift_gain': 'feedback.gain',
 }
@@ -34,6 +32,8 @@ RENAMED: Mapping[str, str] = {
 _CONSTANT: Mapping[str, str] = {
     'k_m': 'criteria.k_m',
     'clearance_smoothing': 'clearance.smoothing',
+    'horizon_held': 'horizon.held_duration',
+    'horizon_nodes': 'horizon.nodes',
     'evasion_horizon': 'clearance.evasion_horizon',
     'damping': 'singularity.damping',
     'damping_threshold': 'singularity.damping_threshold',
@@ -43,10 +43,12 @@ _CONSTANT: Mapping[str, str] = {
     'drift_angle': 'feedback.angle',
 }
 _GONE = {
-    **dict.fromkeys((*_CONSTANT, 'position_tolerance', 'diagnostics_rate', 'marker_rate'),
-                    'it is a constant now'),
+    **dict.fromkeys((*_CONSTANT, *_CONSTANT.values(), 'position_tolerance', 'diagnostics_rate',
+                     'marker_rate'), 'it is a constant now'),
     **dict.fromkeys(('safety_filter', 'clearance_points'),
                     "the paper's method to the letter is 'method: paper' now"),
+    'locked_positions': "'locked_joints' takes 'joint=position' now",
+    'lock_where_measured': "'locked_joints' takes '*=measured' now",
 }
 # The first parts of grouped names, of those that came later too.
 GROUPS = tuple(sorted({'cone', 'drive', 'posture', 'target', *(
@@ -54,7 +56,7 @@ GROUPS = tuple(sorted({'cone', 'drive', 'posture', 'target', *(
 
 
 def what_became_of(name: str) -> str:
-    """Return what to do about a name of version 0.1.0, as a sentence; empty for other names."""
+    """Return what to do about a name of an earlier version, as a sentence; empty for others."""
     if name in RENAMED:
         return f"parameter '{name}' is called '{RENAMED[name]}' now"
     if name in _GONE:
@@ -81,6 +83,19 @@ _LETTER: Mapping[str, float] = {
 }
 
 
+def _locked(found: dict[str, Any]) -> Any:
+    """Take names and positions of locked joints out of recorded values; return today's entries.
+
+    What was locked where it was measured is among them. Values that do not fit are left for
+    `RobotParameters` to refuse.
+    """
+    names, positions = found.get('locked_joints', []), found.pop('locked_positions', [])
+    found.pop('lock_where_measured', None)
+    if not isinstance(names, (list, tuple)) or not isinstance(positions, (list, tuple)):
+        return names
+    return [f'{name}={position!r}' for name, position in zip(names, positions)]
+
+
 def translated(values: Mapping[str, Any], notes: list[str]) -> dict[str, Any]:
     """Return the values of a recorded configuration under the names of today.
 
@@ -90,6 +105,8 @@ def translated(values: Mapping[str, Any], notes: list[str]) -> dict[str, Any]:
     """
     found = {RENAMED.get(name) or _CONSTANT.get(name, name): value
              for name, value in flat(values).items()}
+    if 'locked_positions' in found or 'lock_where_measured' in found:
+        found['locked_joints'] = _locked(found)
     letter = found.pop('clearance_points', 'links') == 'joints'
     filtered = found.pop('safety_filter', True)
     fixed = found.get('method') == 'gradient_projection'

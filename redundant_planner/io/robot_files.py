@@ -26,6 +26,7 @@ from redundant_planner.io.mount import mounted
 from redundant_planner.io.parameter_files import (
     check_keys,
     entries_of,
+    OTHERS_MEASURED,
     read_robot_parameters,
     RobotParameters,
     settings_of,
@@ -156,7 +157,7 @@ def build_robot(
     def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
         return Robot(
             urdf, p.tip_frame, base_frame=p.base_frame or p.mount_frame,
-            locked_positions=dict(zip(p.locked_joints, p.locked_positions)),
+            locked_positions=p.locked,
             axes=p.axes, command_frame=p.command_frame, velocity_max=p.velocity_max or None,
             acceleration_max=p.acceleration_max, jerk_max=p.jerk_max or None, capsules=shapes,
             link_radius=p.link_radius)
@@ -210,18 +211,17 @@ def joints_to_measure(parameters: RobotParameters, urdf: str) -> tuple[str, ...]
     Raises:
         RobotError, ParameterError: as `build_robot`.
     """
-    if not parameters.lock_where_measured:
+    if OTHERS_MEASURED not in parameters.locked_joints:
         return ()
     chain = build_robot(replace(parameters, capsules=(), link_shapes='straight'), urdf, {})
     return tuple(name for name in joint_ranges(urdf).names
-                 if name not in chain.joint_names and name not in parameters.locked_joints)
+                 if name not in chain.joint_names and name not in parameters.locked)
 
 
 def locked_at(parameters: RobotParameters, positions: Mapping[str, float]) -> RobotParameters:
-    """Return the parameters with more joints locked: name → position [rad, m]."""
-    return replace(
-        parameters, locked_joints=(*parameters.locked_joints, *positions),
-        locked_positions=(*parameters.locked_positions, *positions.values()))
+    """Return the parameters with measured joints locked: name → position [rad, m]."""
+    return replace(parameters, locked_joints=tuple(
+        f'{name}={position!r}' for name, position in {**parameters.locked, **positions}.items()))
 
 
 def load_robot(path: Path, **changes: Any) -> Robot:

@@ -109,7 +109,7 @@ class Startup:
             if name in self._wanted and np.isfinite(position)}
         missing = sorted(self._wanted - set(self._measured))
         if missing:
-            self._warn('joint_states lacks joints that lock_where_measured waits for: '
+            self._warn('joint_states lacks joints that locked_joints waits for: '
                        f'{known(missing)}')
             return
         wanted, self._parameters = self._parameters, locked_at(self._parameters, self._measured)

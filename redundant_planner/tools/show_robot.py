@@ -155,8 +155,7 @@ def arm_of(
         return Arm(parameters, robot, described.start, q)
     else:
         q = start_posture(robot)
-    locked = dict(zip(parameters.locked_joints, parameters.locked_positions))
-    return Arm(parameters, robot, {**locked, **dict(zip(names, q.tolist()))}, q)
+    return Arm(parameters, robot, {**parameters.locked, **dict(zip(names, q.tolist()))}, q)
 
 
 def parameter_file(

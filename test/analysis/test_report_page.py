@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 
+from redundant_planner import __version__
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.measure_tables import motion_measures
 from redundant_planner.analysis.motion_interval import command_begin, shown_together
@@ -150,7 +151,7 @@ def test_it_says_what_was_run(waiting, second):
     facts = facts_of(waiting)
     assert facts['Robot'] == 'paper_2p5r, 7 joints' and facts['Method'] == 'dynamic_factor'
     assert facts['Recorded'] == '2023-11-14 22:13 UTC'
-    assert facts['Software'].startswith('redundant_planner 0.1.0')
+    assert facts['Software'].startswith(f'redundant_planner {__version__}')
     # That one's configuration does not say.
     assert facts_of(second)['Software'] == '' and facts_of(second)['Method'] == 'variational'
     assert 'not recorded' in page_of([second])

@@ -266,8 +266,7 @@ def test_show_robot_keeps_what_the_parameters_say(tmp_path, capsys):
     tip_frame: panda_hand
     axes: [vx, vy, vz]
     command_frame: tool
-    locked_joints: [panda_joint3]
-    locked_positions: [0.2]
+    locked_joints: ['panda_joint3=0.2']
     acceleration_max: [7.0]
 """)
     assert show_robot(['--params', str(given), '--out', str(tmp_path / 'p.png')]) == 0
@@ -413,7 +412,7 @@ def test_show_robot_writes_a_start_that_both_simulated_arms_take(tmp_path, capsy
 def test_locked_joints_start_where_they_are_locked(tmp_path, capsys):
     file = tmp_path / 'given.yaml'
     file.write_text(f'/**: {{ros__parameters: {{urdf: {PANDA_URDF}, tip_frame: panda_hand, '
-                    'locked_joints: [panda_joint3], locked_positions: [0.2]}}')
+                    'locked_joints: [panda_joint3=0.2]}}')
     assert show_robot(['--params', str(file), '--out', str(tmp_path / 'p.png')]) == 0
     values = yaml.safe_load(capsys.readouterr().out)['/**']['ros__parameters']
     start = dict(zip(values['initial_joints'], values['initial_positions']))

@@ -15,6 +15,7 @@ from redundant_planner.io.parameter_files import (
     known_parameters,
     parameter_values,
     read_parameter_file,
+    RobotParameters,
     settings_of,
 )
 from redundant_planner.io.recorded_configuration import configuration_of
@@ -204,6 +205,9 @@ def test_names_of_version_0_1_0_are_refused_with_the_new_ones(tmp_path):
             ('horizon: 2.0', "'horizon' is called 'horizon.duration' now"),
             ('drift_gain: 2.0', "'drift_gain' is called 'feedback.gain' now"),
             ('damping: 0.1', "'damping' is not set any more: it is a constant now"),
+            ('horizon: {nodes: 8}', "'horizon.nodes' is not set any more: it is a constant now"),
+            ('locked_positions: [0.1]', "'locked_joints' takes 'joint=position' now"),
+            ('lock_where_measured: true', "'locked_joints' takes '*=measured' now"),
             ('safety_filter: false', "'method: paper'")):
         path.write_text(f'/**: {{ros__parameters: {{{old}}}}}')
         with pytest.raises(ParameterError, match=re.escape(message)):
@@ -222,6 +226,25 @@ def test_a_configuration_recorded_by_version_0_1_0_is_translated():
     assert not notes and values['rate'] == 100
     assert parameters == PlannerParameters(
         method='paper', criteria_k_w=2.0, horizon_duration=2.5, singularity_damping=0.02)
+
+
+def test_parameters_that_are_none_any_more_count_where_they_were_recorded():
+    text = """/**:
+      ros__parameters: {horizon_nodes: 8, horizon.held_duration: 0.5, tip_frame: tool,
+                        locked_joints: [a, b], locked_positions: [0.1, -0.25],
+                        lock_where_measured: true}"""
+    notes = []
+    values = configuration_of(text, notes)
+    assert not notes
+    assert settings_of(PlannerParameters, values) == PlannerParameters(
+        horizon_nodes=8, horizon_held_duration=0.5)
+    assert settings_of(RobotParameters, values).locked == {'a': 0.1, 'b': -0.25}
+
+
+@pytest.mark.parametrize('entry', ['a', 'a=', '=1.0', 'a=nan', '*=other'])
+def test_locked_joints_are_names_and_positions(entry):
+    with pytest.raises(ParameterError, match=r"'joint=position'.* or '\*=measured'"):
+        RobotParameters(locked_joints=('b=0.5', '*=measured', entry))
 
 
 @pytest.mark.parametrize(('old', 'method', 'note'), [

@@ -84,12 +84,12 @@ def test_a_panda_follows_a_typed_twist_for_five_seconds():
     with station() as (ros, processes):
         processes.start('fake_hardware_node', [ROBOTS / 'panda.yaml'], arm)
         processes.start('planner_node', [ROBOTS / 'panda.yaml'],
-                        {'urdf': PANDA_URDF, 'lock_where_measured': True})
+                        {'urdf': PANDA_URDF, 'locked_joints': ['*=measured']})
         ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start')
         ros.wait_for(lambda: ros.states and 'panda_finger_joint1' in ros.states[-1].name, 'arm')
         said = configuration(ros)
-        assert said['locked_joints'] == ['panda_finger_joint1']
-        assert said['locked_positions'] == pytest.approx([0.03])
+        (name, _, position), = (entry.partition('=') for entry in said['locked_joints'])
+        assert name == 'panda_finger_joint1' and float(position) == pytest.approx(0.03)
         before = robot.kinematics(ros.state(robot.joint_names))
         twist = np.array([0.02, 0.024, -0.016, 0.0, 0.0, 0.04])
         ros.drive_until(twist, ros.moves, 'motion')
@@ -253,7 +253,7 @@ def test_grouped_names_count_wherever_they_are_given(tmp_path):
     """Nested and dotted in a file, on the command line, at run time; refusals change nothing."""
     file = tmp_path / 'groups.yaml'
     file.write_text('/**:\n  ros__parameters:\n    criteria: {k_w: 4.0, k_s: 0.5}\n'
-                    '    horizon.nodes: 8\n    clearance.margin: 0.02\n')
+                    '    horizon.duration: 2.0\n    clearance.margin: 0.02\n')
     with station() as (ros, processes):
         processes.start('fake_hardware_node', [*FILE, file], ARM_VALUES)
         processes.start('planner_node', [*FILE, file], {'clearance.margin': 0.03})
@@ -269,7 +269,7 @@ def test_grouped_names_count_wherever_they_are_given(tmp_path):
         said = configuration(ros)
     assert said['method'] == 'dynamic_factor' and 'k_s' not in said
     assert said['criteria.k_w'] == 4.0 and said['criteria.k_s'] == 1.5
-    assert said['horizon.nodes'] == 8 and said['clearance.margin'] == 0.03
+    assert said['horizon.duration'] == 2.0 and said['clearance.margin'] == 0.03
 
 
 def test_the_urdf_may_come_by_topic():

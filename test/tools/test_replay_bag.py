@@ -95,12 +95,13 @@ def test_a_parameter_file_changes_no_others_and_the_new_bag_says_so(tmp_path):
     recorded = replace(parameters, criteria_k_w=3.0, path_priority='strict')
     path = write(tmp_path / 'run', robot, recorded, motion)
     file = tmp_path / 'slow.yaml'
-    file.write_text('/**: {ros__parameters: {limits: {linear_speed: 0.01}, horizon.nodes: 6}}')
+    file.write_text(
+        '/**: {ros__parameters: {limits: {linear_speed: 0.01}, horizon.duration: 2.0}}')
     assert replay_bag([str(path), '--params', str(file)]) == 0
     with open_bag(tmp_path / 'run_replay') as opened:
         values = read_inputs(opened, None, '', '').values
     assert settings_of(PlannerParameters, values) == replace(
-        recorded, limits_linear_speed=0.01, horizon_nodes=6)
+        recorded, limits_linear_speed=0.01, horizon_duration=2.0)
     names = {ros_name(entry) for settings in (
         PlannerParameters, RobotParameters, PlannerNodeParameters) for entry in fields(settings)}
     assert set(values) <= {*names, 'capsule', 'static_obstacle'}
