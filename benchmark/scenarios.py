@@ -10,7 +10,7 @@ import json
 from multiprocessing import Pool
 from pathlib import Path
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from rich.table import Table
 from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, path_poses, Task
 from benchmark.judge import Judge, Verdict
+from benchmark.peers import library, missing, MissingPeerError, Peer, PEERS
 from redundant_planner.core.horizon.poses_ahead import middles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
@@ -29,9 +30,6 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.tools.reproduce_paper import find_panda
-
-if TYPE_CHECKING:
-    from benchmark.peers import Peer
 
 Array = npt.NDArray[np.float64]
 
@@ -51,7 +49,6 @@ METHODS = {
 UNFILTERED = ('least_norm', 'gradient_projection', 'dynamic_factor_unfiltered')
 # These are told the twist ahead, as a user does who plays a profile.
 KNOWN = ('variational_known',)
-PEERS = {'mink': 'Mink', 'pink': 'Pink'}
 # After the twist, while obstacles move on: the last has passed by 2 s, and 4 s are for the way
 # back [s].
 _TO_COME_BACK = 6.0
@@ -111,11 +108,11 @@ def run_planner(
 
 
 def run_peer(
-    robot: Robot, library: Callable[..., Peer], judge: Judge, task: Task,
+    robot: Robot, make: Callable[..., Peer], judge: Judge, task: Task,
 ) -> Outcome:
     """Run another library in closed loop with an ideal arm, with the same margins."""
     p = PlannerParameters()
-    peer = library(robot, task.obstacles, p.clearance_margin, p.clearance_self_margin)
+    peer = make(robot, task.obstacles, p.clearance_margin, p.clearance_self_margin)
     poses = path_poses(robot, task, DT)
     moving = _is_moving(task)
     poses += [poses[-1]] * round(moving * _TO_COME_BACK / DT)
@@ -204,10 +201,9 @@ def runners(robot: Robot, judge: Judge, names: list[str]) -> dict[
                 filtered=name not in UNFILTERED)
         else:
             try:
-                from benchmark import peers
-            except ImportError as error:
-                raise SystemExit(f'{name}: {error}; pip install mink pin-pink') from None
-            found[name] = partial(run_peer, robot, getattr(peers, PEERS[name]), judge)
+                found[name] = partial(run_peer, robot, library(name), judge)
+            except MissingPeerError as error:
+                raise SystemExit(str(error)) from None
     return found
 
 
@@ -265,11 +261,12 @@ def print_table(title: str, result: dict[str, dict[str, Any]]) -> None:
     table = Table(title=title)
     table.add_column('method')
     keys = [key for key, value in next(iter(result.values())).items()
-            if isinstance(value, (int, float))]
+            if value is None or isinstance(value, (int, float))]
     for key in keys:
         table.add_column(key.replace('_', ' '), justify='right')
     for name, entry in result.items():
-        table.add_row(name, *(f'{entry[key]:.4g}' for key in keys))
+        table.add_row(name, *(
+            '' if entry[key] is None else f'{entry[key]:.4g}' for key in keys))
     Console(width=220).print(table)
 
 
@@ -277,10 +274,14 @@ def main() -> None:
     """Run the benchmark."""
     parser = parser_of(__doc__)
     parser.add_argument('--method', action='append', choices=[*METHODS, *PEERS],
-                        help="may be given more than once; this package's if not given; mink "
-                        'and pink have to be installed')
+                        help="may be given more than once; this package's if not given; the "
+                        "others' libraries have to be installed")
     parser.add_argument('--moving', action='store_true', help='obstacles move through the arm')
     options = parser.parse_args()
+    for name in options.method or ():
+        lack = missing(name) if name in PEERS else ''
+        if lack:
+            raise SystemExit(lack)
     arguments = (
         options.robot, options.axes, options.method or list(METHODS), options.moving,
         options.impossible_too)

@@ -22,7 +22,8 @@ from rich.progress import track
 
 from benchmark.generator import DURATION, generate, path_poses, Task
 from benchmark.judge import accelerations, jerks, Judge, limit_violation
-from benchmark.scenarios import KNOWN, make_robot, METHODS, PEERS, print_table
+from benchmark.peers import library, missing, PEERS
+from benchmark.scenarios import KNOWN, make_robot, METHODS, print_table
 from redundant_planner.core.horizon.poses_ahead import middles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -150,9 +151,8 @@ def run_peer(
     robot: Robot, name: str, judge: Judge, task: Task, drive: Drive, dt: float,
 ) -> Smoothness:
     """Run another library on the posture that it has commanded, as its examples do."""
-    from benchmark import peers
     p = PlannerParameters()
-    peer = getattr(peers, PEERS[name])(
+    peer = library(name)(
         robot, task.obstacles, p.clearance_margin, p.clearance_self_margin)
     arm, poses = Arm(drive, task.start, dt, task.seed), path_poses(robot, task, dt)
     count = len(poses) - 1
@@ -224,6 +224,10 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--jobs', type=int, default=1, help='processes')
     parser.add_argument('--json', type=Path, metavar='FILE')
     options = parser.parse_args(args)
+    for name in options.method or ():
+        lack = missing(name) if name in PEERS else ''
+        if lack:
+            raise SystemExit(lack)
     methods, drives = options.method or list(OWN), options.drive or list(DRIVES)
     seeds = range(options.seed, options.seed + options.count)
     with Pool(options.jobs, prepare, (methods, drives, 1.0 / options.rate)) as pool:

@@ -28,6 +28,7 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmark.crowds import ELLIPSOIDS, Layout, obstacles_off, SHAPE_NAMES, shapes_of
+from benchmark.peers import library, missing
 from benchmark.scenarios import make_robot
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs
@@ -56,7 +57,8 @@ _HOUR = 3600 * 250
 # The same ticks are repeated: the fastest time of each is its own, the rest the machine's.
 _PASSES = 5
 # pink takes 0.4 ms per obstacle and tick, mink makes a model with a body for each.
-_MOST_OF_PINK, _MOST_OF_MINK = 100, 1000
+# cbfpy compiles a barrier for each pair, NEO measures each in Python.
+_MOST = {'mink': 1000, 'pink': 100, 'roboplan': 100, 'neo': 100, 'cbfpy': 10}
 _EXTENTS = {'reach': ((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2)),
             'hall': ((-10.0, -10.0, 0.0), (10.0, 10.0, 4.0))}
 
@@ -110,10 +112,13 @@ def planner_times(
 def peer_times(
     peer: str, robot: Robot, start: Array, obstacles: list[Obstacle], ticks: int,
 ) -> Array:
-    """Return the times of the ticks of mink or pink, which are installed for this alone [us]."""
-    from benchmark import peers
+    """Return the times of another library's ticks [us].
+
+    Raises:
+        MissingPeerError: it is not installed.
+    """
     p = PlannerParameters()
-    solver = getattr(peers, peer.capitalize())(
+    solver = library(peer)(
         robot, obstacles, p.clearance_margin, p.clearance_self_margin)
     arm = robot.kinematics(start)
     pose, q = Pose(arm.tip_position, arm.tip_rotation), start
@@ -192,7 +197,7 @@ def measure(
     result: dict[str, Any] = {
         key: {} for key in (
             'tick_us', 'tick_p99_us', 'tick_own_p99_us', 'variational_us', 'hall_tick_us',
-            'mink_us', 'pink_us', 'ratio_to_mink', 'ratio_to_pink')}
+            *(f'{peer}_us' for peer in _MOST), *(f'ratio_to_{peer}' for peer in _MOST))}
     for count in track(counts, description=name):
         key = str(count)
         around = obstacles_around(robot, start, count, 'reach', layout)
@@ -203,11 +208,11 @@ def measure(
         result['hall_tick_us'][key] = float(np.median(planner_times(
             robot, start, obstacles_around(robot, start, count, 'hall', layout),
             'dynamic_factor', ticks)))
-        if count <= _MOST_OF_MINK:
+        if count <= _MOST['mink']:
             result['variational_us'][key] = float(np.median(planner_times(
                 robot, start, around, 'variational', ticks // 4)))
-        for label, most in (('mink', _MOST_OF_MINK), ('pink', _MOST_OF_PINK)):
-            if not peers or name != 'panda' or count > most:
+        for label, most in _MOST.items():
+            if not peers or name != 'panda' or count > most or missing(label):
                 continue
             taken = float(np.median(peer_times(
                 label, robot, start, around, max(ticks // (1 + count), 40))))
@@ -221,7 +226,8 @@ def measure(
 def versions() -> dict[str, str]:
     """Return what was measured with."""
     found = {'python': platform.python_version(), 'machine': platform.machine()}
-    for package in ('numpy', 'numba', 'pin', 'daqp', 'mink', 'mujoco', 'pin-pink'):
+    for package in ('numpy', 'numba', 'pin', 'daqp', 'mink', 'mujoco', 'pin-pink', 'roboplan',
+                    'cbfpy', 'jax'):
         try:
             found[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:

@@ -15,7 +15,6 @@ import argparse
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
-import importlib.util
 import json
 from multiprocessing import Pool
 from pathlib import Path
@@ -24,6 +23,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import track
 
+from benchmark.peers import missing
 from benchmark.problem_sets.families import FAMILIES
 from benchmark.problem_sets.judgement import Outcome, summarise
 from benchmark.problem_sets.moveit_files import find_files, ProblemFileError
@@ -134,7 +134,7 @@ def main(args: list[str] | None = None) -> int:
     options = _options(args)
     console = Console(width=220)
     methods = options.method or list(DEFAULT_METHODS) + [
-        name for name in PEERS if importlib.util.find_spec(name)]
+        name for name in ('mink', 'pink') if not missing(name)]
     task = Task(tuple(methods), options.margin, options.explain,
                 options.command == 'target_pose', options.optimum)
     try:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from benchmark.peers import library
 from benchmark.problem_sets.problem import Problem, tip_pose
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -117,9 +118,12 @@ def planner_step(
 
 
 def peer_step(robot: Robot, name: str, problem: Problem, margin: float) -> Step:
-    """Return mink's or pink's step for a problem: towards where the twist leads in one tick."""
-    from benchmark import peers
-    peer = getattr(peers, name)(
+    """Return another library's step: towards where the twist leads in one tick.
+
+    Raises:
+        MissingPeerError: it is not installed.
+    """
+    peer = library(name)(
         robot, problem.obstacles, margin, PlannerParameters().clearance_self_margin)
 
     def step(q: Array, twist: Array) -> tuple[Array, str]:

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmark.peers import MissingPeerError, PEERS
 from benchmark.problem_sets.generated import generate
 from benchmark.problem_sets.judgement import collided, Judge, Outcome
 from benchmark.problem_sets.moveit_files import ProblemFileError, read_problem
 from benchmark.problem_sets.problem import fault_of, Problem, settled
 from benchmark.problem_sets.servo import LONGEST, peer_step, planner_step, servo, Step
-from benchmark.scenarios import make_robot, METHODS as SCENARIO_METHODS, PEERS, UNFILTERED
+from benchmark.scenarios import make_robot, METHODS as SCENARIO_METHODS, UNFILTERED
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.resources import panda_urdf
@@ -126,9 +127,9 @@ def _step(robot: Robot, name: str, problem: Problem, task: Task) -> Step:
         return planner_step(robot, parameters, problem, filtered=name not in UNFILTERED,
                             to_target=task.to_target)
     try:
-        return peer_step(robot, PEERS[name], problem, task.margin)
-    except ImportError as error:
-        raise ProblemFileError(f'{name}: {error}; pip install mink pin-pink') from None
+        return peer_step(robot, name, problem, task.margin)
+    except MissingPeerError as error:
+        raise ProblemFileError(str(error)) from None
 
 
 worker: Callable[[Job], Result]

@@ -1,0 +1,1 @@
+"""Scenes that others published, read from a checkout of their repositories."""
