@@ -32,7 +32,7 @@ from redundant_planner.core.safety.barriers import (
     barriers_in_compiled,
     Rows,
 )
-from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.safety.limits import Limits, stopping_time
 from redundant_planner.core.safety.pace import pace, unseen_distances, unseen_share
 
 Array = npt.NDArray[np.float64]
@@ -257,8 +257,10 @@ def wish(
         unseen_distances(arm.q, constants.lever_arm_bounds, world.range_at, world.ranges))
     self_pairs = SelfPairs(constants.radii, constants.self_pairs, constants.self_supports,
                            constants.self_lever_arm_bounds)
+    stopping = 0.5 * stopping_time(start.previous, limits.acceleration_max) * start.previous
     own = near_links(
-        arm.q, links, self_pairs, can.fastest, can.rate, memory.known_at, memory.known)
+        arm.q, links, self_pairs, can.fastest / can.rate, stopping, memory.known_at,
+        memory.known)
 
     # k P∇H, Eqs. 2 and 18.
     level, clearance = criteria.clearance_index(

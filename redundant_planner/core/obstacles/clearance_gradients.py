@@ -52,7 +52,7 @@ def clearance_gradients(
     return gradient, rate
 
 
-@compiled
+@kernel
 def slope_at(
     obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place, t: float,
     time: float,
@@ -88,6 +88,14 @@ def slope_at(
         r[obstacle, 0, 0] * a + r[obstacle, 0, 1] * b + r[obstacle, 0, 2] * c,
         r[obstacle, 1, 0] * a + r[obstacle, 1, 1] * b + r[obstacle, 1, 2] * c,
         r[obstacle, 2, 0] * a + r[obstacle, 2, 1] * b + r[obstacle, 2, 2] * c)
+
+
+@compiled
+def slope_of(
+    obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place, t: float,
+) -> Place:
+    """Do what `slope_at` does now, for Python."""
+    return slope_at(obstacles, link, obstacle, start, end, t, 0.0)
 
 
 @kernel
@@ -153,6 +161,6 @@ def surface_point(
     if some.shapes[at] == ELLIPSOID:
         size = max(float(pairs.normalized_distance[0, at]) + 1.0, 1e-9)
         return point, some.centers[at] + (point - some.centers[at]) / size
-    slope = slope_at(some, 0, at, Place(*start.tolist()), Place(*end.tolist()),
-                     float(pairs.parameter[0, at]), 0.0)
+    slope = slope_of(some, 0, at, Place(*start.tolist()), Place(*end.tolist()),
+                     float(pairs.parameter[0, at]))
     return point, point - float(pairs.distance[0, at]) * some.smallest[0, at] * np.array(slope)

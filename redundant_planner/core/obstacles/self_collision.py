@@ -21,6 +21,7 @@ from redundant_planner.core.kernels import (
 )
 from redundant_planner.core.robot.jacobian import joint_shares
 from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.robot.links_after import links_after
 from redundant_planner.core.robot.se3 import Place, place
 
 Array = npt.NDArray[np.float64]
@@ -154,11 +155,12 @@ class SelfPairs(NamedTuple):
 
 
 class NearLinks(NamedTuple):
-    """The pairs of links that may meet in a tick.
+    """The pairs of links that may meet in a tick, or where the arm would come to rest.
 
     Attributes:
-        pairs: (k,) which.
-        distance: (k,) [m], 0 for those found closer than their margin.
+        pairs: (k,) which; one may be there twice, seen from here and from there.
+        distance: (k,) [m], 0 for those found closer than their margin; seen from there, what it
+            would be here if it changed all the way as it does there.
         gradient: (k, n) of the distance.
     """
 
@@ -168,8 +170,50 @@ class NearLinks(NamedTuple):
 
 
 @kernel
+def _with_rest(
+    here: NearLinks, arm: Links, pairs: SelfPairs, known: Vector, reach: Vector, stopping: Vector,
+) -> NearLinks:
+    """Return pairs of links, and those again that come nearer while the arm brakes than it seems.
+
+    A distance may turn while the arm brakes, and does so in no time at all where another part of a
+    link becomes the nearest. So the distance where the arm would come to rest makes another row.
+    Proportional braking leaves that place where it is: what is kept now can be kept until then.
+
+    Args:
+        here: the pairs, as seen from here.
+        arm, pairs, stopping: as for `near_links`.
+        known: (p,) distances of all pairs here [m].
+        reach: (n,) how far the joints may move before a barrier has its way [rad, m].
+    """
+    if len(here.pairs) == 0:
+        return here
+    rest = links_after(arm, stopping)
+    at_rest, points = np.empty(len(pairs.links)), np.empty((len(pairs.links), 2, 3))
+    write_link_distances(rest.start, rest.end, pairs.radii, pairs.links, at_rest, points)
+    gradient = distance_gradients(points, here.pairs, rest.joint_screws, pairs.supports)
+    distance, chosen = np.empty(len(here.pairs)), np.empty(len(here.pairs), np.intp)
+    count = 0
+    for i in range(len(here.pairs)):
+        pair = here.pairs[i]
+        left = at_rest[pair] - min(known[pair], 0.0)
+        expected, value, way = here.distance[i], left, 0.0
+        for j in range(len(stopping)):
+            expected += here.gradient[i, j] * stopping[j]
+            value -= gradient[i, j] * stopping[j]
+            way += abs(gradient[i, j]) * reach[j]
+        if left < expected and value < way:
+            distance[i], chosen[count] = value, i
+            count += 1
+    chosen = chosen[:count]
+    return NearLinks(
+        np.concatenate((here.pairs, here.pairs[chosen])),
+        np.concatenate((here.distance, distance[chosen])),
+        np.concatenate((here.gradient, gradient[chosen])))
+
+
+@kernel
 def near_links(
-    q: Vector, arm: Links, pairs: SelfPairs, fastest: Vector, rate: float, known_at: OutVector,
+    q: Vector, arm: Links, pairs: SelfPairs, reach: Vector, stopping: Vector, known_at: OutVector,
     known: OutVector,
 ) -> NearLinks:
     """Return the pairs whose barrier could act in this tick.
@@ -183,12 +227,12 @@ def near_links(
         q: (n,) the posture.
         arm: its links.
         pairs: which of them can collide.
-        fastest: (n,) the fastest the joints may move [rad/s, m/s].
-        rate: share of a distance that may be used up per second [1/s].
+        reach: (n,) how far the joints may move before a barrier has its way [rad, m].
+        stopping: (n,) how far the arm still goes if it brakes in proportion from now on [rad, m].
         known_at: (n,) where the links were last measured against each other; NaN if never.
         known: (p,) what was found there [m]; both are brought up to date.
     """
-    count, reach, bounds = len(pairs.links), fastest / rate, pairs.lever_arm_bounds
+    count, bounds = len(pairs.links), pairs.lever_arm_bounds
     settled, moved = True, reach.copy()
     for j in range(len(q)):
         moved[j] += abs(q[j] - known_at[j])
@@ -204,8 +248,9 @@ def near_links(
             if known[pair] <= _way(bounds[pair], reach):
                 near[found] = pair
                 found += 1
+    near = near[:found]
     distance = np.empty(found)
     for i in range(found):
         distance[i] = max(known[near[i]], 0.0)
-    gradient = distance_gradients(points, near[:found], arm.joint_screws, pairs.supports)
-    return NearLinks(near[:found], distance, gradient)
+    gradient = distance_gradients(points, near, arm.joint_screws, pairs.supports)
+    return _with_rest(NearLinks(near, distance, gradient), arm, pairs, known, reach, stopping)

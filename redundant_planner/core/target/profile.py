@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-# Shares of the acceleration limits: for braking along the way, and for its bends. The rest is for
-# motion in the null space, and for what the postures on the way are wrong by.
-_BRAKING, _BENDING = 0.8, 0.5
+# Shares of the acceleration limits: for braking along the way, for its bends, and for both at once.
+# The rest is for motion in the null space, and for what the postures on the way are wrong by.
+_BRAKING, _BENDING, _BOTH = 0.8, 0.5, 0.9
 # Joints that move no more than this per second at full speed do not count [rad/s, m/s].
 _LEAST_RATE = 1e-9
 
@@ -31,21 +31,19 @@ class Profile(NamedTuple):
         left: (K + 1,) what is left of the way at its nodes, descending to 0 [s].
         speed: (K + 1,) the highest share f of full speed there.
         fastest: (K,) between them.
-        braking: (K,) how fast f may change between them [1/s].
+        braking: (K,) how fast f may fall between them [1/s].
+        rising: (K,) how fast it may rise, where nothing is lost if it cannot [1/s].
     """
 
     left: Array
     speed: Array
     fastest: Array
     braking: Array
-
-    def braking_at(self, left: float) -> float:
-        """Return how fast f may change where so much is left [1/s]."""
-        return float(self.braking[self._segment(left)])
+    rising: Array
 
     def speeding_at(self, left: float) -> float:
-        """Return how fast f may rise where so much is left [1/s]: nothing is lost if it cannot."""
-        return self.braking_at(left) / _BRAKING
+        """Return how fast f may rise where so much is left [1/s]."""
+        return float(self.rising[self._segment(left)])
 
     def speed_at(self, left: float, dt: float) -> float:
         """Return the highest f for the next dt, where so much is left [s].
@@ -70,7 +68,8 @@ class Profile(NamedTuple):
         f[0] = speed
         spans = -np.diff(self.left)
         for i, span in enumerate(spans):
-            f[i + 1] = min(f[i + 1], math.sqrt(f[i] ** 2 + 2.0 * self.braking[i] * span))
+            f[i + 1] = min(f[i + 1], math.sqrt(
+                f[i] ** 2 + 2.0 * _BRAKING * self.rising[i] * span))
         # From rest to rest within one stretch the tip accelerates and brakes.
         mean = 0.5 * (f[:-1] + f[1:])
         slow = np.sqrt(spans * self.braking / 4.0)
@@ -93,17 +92,31 @@ def profile_of(
         velocity_max, acceleration_max: (n,) of the joints.
     """
     count = len(postures) - 1
-    left = np.linspace(length, 0.0, count + 1)
-    rates = np.maximum(np.abs(np.diff(postures, axis=0)) * (count / length), _LEAST_RATE)
+    left, step = np.linspace(length, 0.0, count + 1), length / count
+    moves = np.diff(postures, axis=0) / step
+    rates = np.maximum(np.abs(moves), _LEAST_RATE)
     fastest = np.minimum((velocity_max / rates).min(axis=1), 1.0)
-    braking = _BRAKING * (acceleration_max / rates).min(axis=1)
-    bends = np.maximum(np.abs(np.diff(postures, 2, axis=0)) * (count / length) ** 2, _LEAST_RATE)
+    rising = (acceleration_max / rates).min(axis=1)
+    turns = np.diff(moves, axis=0) / step
+    bends = np.maximum(np.abs(turns), _LEAST_RATE)
     speed = np.ones(count + 1)
     speed[1:-1] = np.sqrt(_BENDING * (acceleration_max / bends).min(axis=1))
+    speed[0] = speed[1]
     speed[:-1] = np.minimum(speed[:-1], fastest)
     speed[1:] = np.minimum(speed[1:], fastest)
     speed[-1] = 0.0
+    # A joint that the way itself slows down brakes for that, too: q' b + |q''| f² is what it does.
+    turns = np.vstack((turns[:1], turns, turns[-1:]))
+    slowing = np.maximum(-np.sign(moves) * turns[:-1], -np.sign(moves) * turns[1:])
+    slowing = np.maximum(slowing, 0.0)
+    braking = np.empty(count)
     for i in reversed(range(count)):
-        speed[i] = min(speed[i], math.sqrt(
-            speed[i + 1] ** 2 + 2.0 * braking[i] * (left[i] - left[i + 1])))
-    return Profile(left, speed, fastest, braking)
+        # With the f of its beginning, which is higher than that of its end.
+        ratio, bend = acceleration_max / rates[i], slowing[i] / rates[i]
+        squared = np.minimum(
+            speed[i + 1] ** 2 + 2.0 * step * _BRAKING * ratio,
+            (speed[i + 1] ** 2 + 2.0 * step * _BOTH * ratio) / (1.0 + 2.0 * step * bend))
+        speed[i] = min(speed[i], math.sqrt(squared.min()))
+        braking[i] = np.minimum(
+            _BRAKING * ratio, _BOTH * ratio - speed[i] ** 2 * bend).min()
+    return Profile(left, speed, fastest, braking, rising)

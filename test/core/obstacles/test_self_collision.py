@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from closed_loop import drive, NOTHING
+from closed_loop import drive, DT, NOTHING
 from conftest import central_difference, make_planar, PANDA_READY, random_postures
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 import numpy as np
 import pytest
 
+from benchmark.scenarios import make_robot
+from benchmark.targets import problem_of
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import distance_gradients, link_distances
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.capsules import Capsule
+from redundant_planner.core.robot.se3 import Pose
 
 points = arrays(float, (4, 3), elements=st.floats(-1.0, 1.0))
 PAIR = np.array([[0, 1]])
@@ -94,6 +98,24 @@ def test_a_panda_keeps_its_hand_off_its_shoulder(panda):
     changes = np.abs(np.diff([r.dq for r in results], axis=0, prepend=np.zeros((1, 7))))
     assert (changes <= panda.acceleration_max * 0.004 + 1e-9).all()
     assert pytest.approx(results[-1].scale, abs=0.05) == 0.0
+
+
+def test_links_whose_distance_turns_while_the_arm_brakes_keep_clear():
+    """Another part of link5 becomes the nearest to link2: from then on braking comes too late."""
+    robot = make_robot('panda', 6)
+    problem = problem_of(robot, 72052)
+    target = robot.kinematics(problem.goal)
+    planner = Planner(robot, PlannerParameters(target_path='straight'))
+    scene, q = Scene.of(problem.obstacles), problem.start
+    radii = np.array([c.radius for c in robot.capsules])
+    nearest = np.inf
+    for _ in range(450):
+        q = q + DT * planner.step(q, np.zeros(6), scene, DT, target=Pose(
+            target.tip_position, target.tip_rotation)).dq
+        arm = robot.kinematics(q)
+        nearest = min(nearest, link_distances(
+            arm.segment_start, arm.segment_end, radii, robot.self_pairs).distance.min())
+    assert 0.0045 < nearest < 0.01
 
 
 def test_not_measuring_every_tick_changes_nothing(panda):

@@ -10,7 +10,7 @@ import pytest
 
 from redundant_planner.core.obstacles import shapes
 from redundant_planner.core.obstacles.clearance import link_clearance
-from redundant_planner.core.obstacles.clearance_gradients import slope_at
+from redundant_planner.core.obstacles.clearance_gradients import slope_of
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, HALF_SPACE, Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -73,7 +73,7 @@ def test_the_slope_leads_out_by_the_shortest_way(shape, half, at, step):
     obstacle = made(shape, np.zeros(3), half)
     maps = inflated_obstacles(Scene.of([obstacle]), [0.0])
     away = maps.smallest[0, 0] * np.array(
-        slope_at(maps, 0, 0, Place(*at), Place(*at), 0.0, 0.0))
+        slope_of(maps, 0, 0, Place(*at), Place(*at), 0.0))
     here, there, further = distances_at(obstacle, np.array([at, at + step, at + 0.05 * away]))
     assert np.linalg.norm(away) == pytest.approx(1.0)
     # Convex, with a slope of 1 at most; going along the direction uses all of it.

@@ -19,9 +19,9 @@ def ticks(profile, left):
     while left > 1e-9:
         f = profile.speed_at(left, DT)
         if shares:
-            f = min(f, shares[-1] + profile.braking_at(left) * DT)
+            f = min(f, shares[-1] + 0.8 * profile.speeding_at(left) * DT)
         else:
-            f = min(f, profile.braking_at(left) * DT)
+            f = min(f, 0.8 * profile.speeding_at(left) * DT)
         shares.append(f)
         left -= f * DT
         assert len(shares) < 5000
@@ -53,3 +53,19 @@ def test_a_straight_joint_path_takes_the_time_of_a_triangle():
     times, shares = profile.times(0.0)
     assert times[-1] == pytest.approx(expected, rel=0.03)
     assert shares[0] == shares[-1] == 0.0
+
+
+@pytest.mark.parametrize('curvature', [-0.9, -0.5, 0.0, 0.5, 0.9])
+def test_a_joint_that_its_way_slows_down_still_keeps_its_limit_while_it_brakes(curvature):
+    """Of q(σ) = σ + c σ²/2 over 1 s of way: q'' f² − q' b is its acceleration."""
+    along, limit = np.linspace(0.0, 1.0, 13), 1.0
+    path = along + 0.5 * curvature * along**2
+    profile = profile_of(path[:, None], 1.0, np.array([10.0]), np.array([limit]))
+    shares = ticks(profile, 1.0)
+    left = 1.0 - DT * np.concatenate(([0.0], np.cumsum(shares)))
+    positions = np.interp(1.0 - left, *(lambda x: (x, x + 0.5 * curvature * x**2))(
+        np.linspace(0.0, 1.0, 2000)))
+    acceleration = np.diff(positions, 2) / DT**2
+    # Its rate is taken in the middle of a piece, and changes from tick to tick where one ends.
+    braking = acceleration[int(shares.argmax()):]
+    assert np.abs(np.convolve(braking, np.ones(5) / 5.0, 'valid')).max() < 1.1 * limit

@@ -14,7 +14,6 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.core.safety.stages import Stage
 from redundant_planner.core.target.progress import TargetState
 
 
@@ -32,18 +31,15 @@ postures = st.lists(st.floats(-0.5, 0.5), min_size=7, max_size=7).map(
 @settings(max_examples=10, derandomize=True)
 @given(postures)
 @example(PANDA_READY + np.array([0.255859375, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+@example(PANDA_READY - np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
 def test_it_arrives_within_all_limits_and_does_not_overshoot(goal):
-    """Wherever a nearby posture has its tip: once nearer, never half a millimetre farther.
-
-    An arm that had to brake harder on the way, for the sake of its joints, may go past by more.
-    """
+    """Wherever a nearby posture has its tip: once nearer, never half a millimetre farther."""
     run, target = StraightRun(), tip(PANDA, goal)
     progress = run.to(target, 6.0)
     assert progress.state is not TargetState.REACHED or progress.distance < 2e-4
     run.assert_within_limits()
     distances = np.linalg.norm(run.tips - target.position, axis=1)
-    braked = any(r.stage is Stage.BRAKING for r in run.results)
-    assert (distances - np.minimum.accumulate(distances)).max() < (0.02 if braked else 5e-4)
+    assert (distances - np.minimum.accumulate(distances)).max() < 5e-4
     if progress.state is not TargetState.REACHED:  # links or limits that the line leads into
         assert progress.state in (TargetState.BLOCKED, TargetState.OUT_OF_REACH)
         assert run.results[-1].reason
