@@ -15,7 +15,13 @@ from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.least_norm_path import path_joints
 from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
-from redundant_planner.core.horizon.preview import continued, Preview, PreviewAhead, TwistAhead
+from redundant_planner.core.horizon.preview import (
+    continued,
+    growth_of,
+    Preview,
+    PreviewAhead,
+    TwistAhead,
+)
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy.reference import Caps, reference_of, Start
@@ -35,8 +41,6 @@ MOST_OBSTACLES = 50
 _OLDEST_PATH = 0.04
 # An arm this slow stands [rad/s, m/s].
 _STANDSTILL = 1e-3
-# A command smaller than this is none, as to how it grows [squared m/s, rad/s].
-_NO_SPEED = 1e-24
 # How long dynamic_factor takes to switch to the joint path ahead, and back [s]; and the share of
 # it that remains while the path might come of use again.
 _SWITCH_TIME, _RETURN_TIME, _STANDBY = 0.1, 1.0, 1e-3
@@ -66,6 +70,7 @@ class LookAhead:
                     path_joints(constants, gains, limits))
             for duration in (parameters.horizon_duration, parameters.horizon_held_duration))
         self._controlled = robot.full_twist(np.ones(robot.m))
+        self._caps = Caps(gains.feedback_distance, gains.feedback_angle)
         self.reset()
 
     def reset(self) -> None:
@@ -145,14 +150,11 @@ class LookAhead:
         # A node that slid over the end of the motion would make the path another one each time.
         horizon.reach(ahead.rest if isinstance(ahead, PreviewAhead) else math.inf, start.dt)
         times = horizon.times
-        if ahead is None:
-            twists = continued(start.command, growth, middles(times))
-        else:
-            twists = self._controlled * ahead(times)
+        twists = (continued(start.command, growth, middles(times)) if ahead is None
+                  else self._controlled * ahead(times))
         reference = reference_of(
             start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation),
-            self._constants.rows, self._constants.in_tool,
-            Caps(self._gains.feedback_distance, self._gains.feedback_angle))
+            self._constants.rows, self._constants.in_tool, self._caps)
         poses = poses_ahead(reference, twists, times, self._robot.in_tool)
         self._wanted = horizon.advance(start.arm.q, poses, obstacles, elapsed)
 
@@ -199,11 +201,10 @@ class LookAhead:
 
     def _growth_of(self, command: Array, dt: float) -> float:
         """Return the rate at which the command has been growing or fading lately [1/s]."""
-        size = float(command @ command)
-        if size < _NO_SPEED or not self._command.any():
+        rate = growth_of(self._command, command, dt)
+        if math.isnan(rate):
             self._growth = 0.0
         else:
-            rate = float((command - self._command) @ command) / (size * dt)
             self._growth += (1.0 - math.exp(-dt / _TREND)) * (rate - self._growth)
         self._command = command
         return self._growth

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import entry, Indices, kernel, Matrix, Stack, Vector
+from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.se3 import Pose
 
@@ -23,7 +23,8 @@ def node_times(duration: float, nodes: int) -> Array:
     return duration * (np.arange(nodes + 1) / nodes) ** _TIME_EXPONENT
 
 
-def middles(times: Array) -> Array:
+@compiled
+def middles(times: Vector) -> Array:
     """Return the times (N,) half way between N + 1 others."""
     return 0.5 * (times[:-1] + times[1:])
 
