@@ -63,7 +63,7 @@ class LookAhead:
         constants: RobotConstants, gains: Gains,
     ) -> None:
         """Prepare for an arm; the other arguments are made of the parameters."""
-        self._robot, self._constants, self._gains = robot, constants, gains
+        self._robot, self._constants = robot, constants
         self._always = parameters.method == 'variational'
         self._horizons = tuple(
             Horizon(robot, node_times(duration, parameters.horizon_nodes),

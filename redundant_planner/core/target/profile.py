@@ -18,7 +18,8 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 # Shares of the acceleration limits: for braking along the way, for its bends, and for both at
-# once. The rest is for motion in the null space, and for what the postures on the way are wrong by.
+# once. The rest is for motion in the null space, and for what the postures on the way are wrong
+# by.
 _BRAKING, _BENDING, _BOTH = 0.8, 0.5, 0.9
 # Joints that move no more than this per second at full speed do not count [rad/s, m/s].
 _LEAST_RATE = 1e-9
