@@ -197,7 +197,8 @@ def measure(
     result: dict[str, Any] = {
         key: {} for key in (
             'tick_us', 'tick_p99_us', 'tick_own_p99_us', 'variational_us', 'hall_tick_us',
-            *(f'{peer}_us' for peer in _MOST), *(f'ratio_to_{peer}' for peer in _MOST))}
+            *(f'{peer}_us' for peer in _MOST), *(f'ratio_to_{peer}' for peer in _MOST),
+            'ratio_variational_to_mink')}
     for count in track(counts, description=name):
         key = str(count)
         around = obstacles_around(robot, start, count, 'reach', layout)
@@ -218,6 +219,8 @@ def measure(
                 label, robot, start, around, max(ticks // (1 + count), 40))))
             result[f'{label}_us'][key] = taken
             result[f'ratio_to_{label}'][key] = result['tick_us'][key] / taken
+            if label == 'mink':
+                result['ratio_variational_to_mink'][key] = result['variational_us'][key] / taken
     result['sections_us'] = sections(
         robot, start, obstacles_around(robot, start, 3, 'reach', layout), ticks)
     return result

@@ -20,6 +20,8 @@ Array = npt.NDArray[np.float64]
 
 # Steps of the way to the pose, and steps that settle there, so often at most.
 _APPROACH, _SETTLE, _SETTLINGS = 6, 8, 3
+# Steps of Levenberg and Marquardt after these, at most, and the least damping of them [m²].
+_LAST_STEPS, _LEAST_DAMPING = 12, 1e-12
 # A posture has settled after a step smaller than this [rad, m], and is at the pose within this
 # [m, rad].
 _SETTLED, _AT_POSE = 1e-6, 1e-5
@@ -82,7 +84,30 @@ def posture_at(space: FreeSpace, guess: Array, pose: Pose) -> Array | None:
         q = nodes[-1]
         if np.abs(nodes[-1] - nodes[-2]).max() < _SETTLED:
             break
+    q = _finished(space, q, pose)
     return q if off_pose(robot, q, pose) < _AT_POSE else None
+
+
+def _finished(space: FreeSpace, q: Array, pose: Pose) -> Array:
+    """Return a posture (n,) that is at a pose, if one is near another posture (n,).
+
+    The steps before this one have a constant damping, and hardly get on near a singularity. Here
+    it is the square of what is left, which converges quadratically there, too (Levenberg and
+    Marquardt; Yamashita and Fukushima 2001).
+    """
+    robot, joints = space.robot, space.joints
+    for _ in range(_LAST_STEPS):
+        arm = robot.kinematics(q)
+        error = robot.task_rows(se3.pose_error(
+            pose, Pose(arm.tip_position, arm.tip_rotation), robot.in_tool))
+        if np.abs(error).max() < _AT_POSE:
+            break
+        space.spend(1)
+        scaled = arm.jacobian * joints.scaling
+        damping = max(float(error @ error), _LEAST_DAMPING)
+        step = scaled.T @ np.linalg.solve(scaled @ scaled.T + damping * np.eye(len(error)), error)
+        q = np.clip(q + joints.scaling * step, joints.position_min, joints.position_max)
+    return q
 
 
 def _neighbours(

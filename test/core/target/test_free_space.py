@@ -18,6 +18,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import se3
 from redundant_planner.core.target.free_space import FreeSpace
+from redundant_planner.core.target.goal_postures import posture_at
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.path_search import PathSearch
 
@@ -130,3 +131,18 @@ def test_out_of_reach_is_known_after_a_while():
         if search.out_of_reach:
             break
     assert search.out_of_reach and search.way is None
+
+
+@pytest.mark.parametrize('goal', [
+    PANDA_READY,
+    # Shoulder and wrist aligned, the elbow nearly stretched: few guesses end there by damped steps.
+    (1.449, 0.0, 0.0, -0.445, 0.0, 1.868, -2.173)], ids=['ready', 'near singular'])
+def test_goal_postures_are_found_near_singularities_too(goal):
+    space, pose = space_among([]), tip(PANDA, np.array(goal))
+    random, (low, high) = np.random.default_rng(5), space.joint_ranges(np.array(goal))
+    postures = [posture_at(space, random.uniform(low, high), pose) for _ in range(100)]
+    found = [q for q in postures if q is not None]
+    assert len(found) >= 15
+    for q in found:
+        assert np.abs(se3.pose_error(pose, tip(PANDA, q), False)).max() < 2e-5
+        assert (q >= space.joints.position_min).all() and (q <= space.joints.position_max).all()
