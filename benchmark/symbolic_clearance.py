@@ -48,7 +48,7 @@ def clearance(
 def _level(obstacle: Obstacle, start: ca.SX, end: ca.SX, radius: float) -> ca.SX:
     """Return S + 1 of Eq. 6, the least over the link."""
     maps = inflated_obstacles(Scene.of([obstacle]), [radius])
-    matrix = maps.inverse[0, 0][:, None] * maps.rotations[0].T
+    matrix = maps.inverse[0] * maps.rotations[:, :, 0].T
     first, way = ca.mtimes(matrix, start - obstacle.center), ca.mtimes(matrix, end - start)
     t = ca.fmin(ca.fmax(-ca.dot(first, way) / (ca.dot(way, way) + _TINY), 0.0), 1.0)
     return ca.sumsqr(first + t * way)

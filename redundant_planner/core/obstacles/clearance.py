@@ -47,9 +47,9 @@ def from_center(
 ) -> tuple[float, float, float]:
     """Return where a point is as seen from an obstacle's centre, which moves on for a time [m]."""
     centers, velocities = obstacles.centers, obstacles.twists
-    return (x - (centers[obstacle, 0] + time * velocities[obstacle, 0]),
-            y - (centers[obstacle, 1] + time * velocities[obstacle, 1]),
-            z - (centers[obstacle, 2] + time * velocities[obstacle, 2]))
+    return (x - (centers[0, obstacle] + time * velocities[0, obstacle]),
+            y - (centers[1, obstacle] + time * velocities[1, obstacle]),
+            z - (centers[2, obstacle] + time * velocities[2, obstacle]))
 
 
 @kernel
@@ -58,9 +58,9 @@ def in_axes(
 ) -> tuple[float, float, float]:
     """Return Rᵀ x: a vector in an obstacle's axes."""
     r = obstacles.rotations
-    return (r[obstacle, 0, 0] * x + r[obstacle, 1, 0] * y + r[obstacle, 2, 0] * z,
-            r[obstacle, 0, 1] * x + r[obstacle, 1, 1] * y + r[obstacle, 2, 1] * z,
-            r[obstacle, 0, 2] * x + r[obstacle, 1, 2] * y + r[obstacle, 2, 2] * z)
+    return (r[0, 0, obstacle] * x + r[1, 0, obstacle] * y + r[2, 0, obstacle] * z,
+            r[0, 1, obstacle] * x + r[1, 1, obstacle] * y + r[2, 1, obstacle] * z,
+            r[0, 2, obstacle] * x + r[1, 2, obstacle] * y + r[2, 2, obstacle] * z)
 
 
 @kernel
@@ -70,8 +70,8 @@ def in_unit_ball(
     """Return diag(1/a) Rᵀ x: a vector [m] as it is where the ellipsoid is the unit ball."""
     inverse = obstacles.inverse
     x, y, z = in_axes(obstacles, obstacle, x, y, z)
-    return (x * inverse[link, obstacle, 0], y * inverse[link, obstacle, 1],
-            z * inverse[link, obstacle, 2])
+    return (x * inverse[link, 0, obstacle], y * inverse[link, 1, obstacle],
+            z * inverse[link, 2, obstacle])
 
 
 @kernel
@@ -198,7 +198,7 @@ def link_clearance(
         enough: what is further away than this [m], and than the nearest at its posture, may be
             given a bound from below, which is quicker.
     """
-    shape = (*start.shape[:-1], len(obstacles.centers))
+    shape = (*start.shape[:-1], len(obstacles.shapes))
     arrays = np.empty(shape), np.empty(shape), np.empty(shape)
     if start.ndim == 2:
         pairs = Pairs(*arrays)

@@ -75,9 +75,9 @@ def slope_at(
         a, b, c = in_unit_ball(obstacles, link, obstacle, a, b, c)
         # In an ellipsoid's very centre every direction is as good: the guard leaves a zero.
         size = max(math.sqrt(a * a + b * b + c * c), 1e-9)
-        a *= inverse[link, obstacle, 0] / size
-        b *= inverse[link, obstacle, 1] / size
-        c *= inverse[link, obstacle, 2] / size
+        a *= inverse[link, 0, obstacle] / size
+        b *= inverse[link, 1, obstacle] / size
+        c *= inverse[link, 2, obstacle] / size
     else:
         begin, way = segment_in_axes(obstacles, obstacle, time, start, end)
         away = direction_along(
@@ -85,9 +85,9 @@ def slope_at(
         size = obstacles.smallest[link, obstacle]
         a, b, c = away.x / size, away.y / size, away.z / size
     return Place(
-        r[obstacle, 0, 0] * a + r[obstacle, 0, 1] * b + r[obstacle, 0, 2] * c,
-        r[obstacle, 1, 0] * a + r[obstacle, 1, 1] * b + r[obstacle, 1, 2] * c,
-        r[obstacle, 2, 0] * a + r[obstacle, 2, 1] * b + r[obstacle, 2, 2] * c)
+        r[0, 0, obstacle] * a + r[0, 1, obstacle] * b + r[0, 2, obstacle] * c,
+        r[1, 0, obstacle] * a + r[1, 1, obstacle] * b + r[1, 2, obstacle] * c,
+        r[2, 0, obstacle] * a + r[2, 1, obstacle] * b + r[2, 2, obstacle] * c)
 
 
 @compiled
@@ -122,7 +122,7 @@ def clearance_gradient(
     if obstacles.speeds[obstacle] == 0.0:
         return 0.0
     a, b, c = from_center(obstacles, obstacle, time, point.x, point.y, point.z)
-    x, y, z, u, v, w = obstacles.twists[obstacle]
+    x, y, z, u, v, w = obstacles.twists[:, obstacle]
     return -(slope.x * (x + v * c - w * b) + slope.y * (y + w * a - u * c)
              + slope.z * (z + u * b - v * a))
 
@@ -160,7 +160,7 @@ def surface_point(
     point = start + float(pairs.parameter[0, at]) * (end - start)
     if some.shapes[at] == ELLIPSOID:
         size = max(float(pairs.normalized_distance[0, at]) + 1.0, 1e-9)
-        return point, some.centers[at] + (point - some.centers[at]) / size
+        return point, some.centers[:, at] + (point - some.centers[:, at]) / size
     slope = slope_of(some, 0, at, Place(*start.tolist()), Place(*end.tolist()),
                      float(pairs.parameter[0, at]))
     return point, point - float(pairs.distance[0, at]) * some.smallest[0, at] * np.array(slope)

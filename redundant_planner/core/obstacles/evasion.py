@@ -212,7 +212,7 @@ def _course_of_ellipsoid(
     The course is a segment, so where the inflated ellipsoid is the unit ball it is segment
     against segment.
     """
-    x, y, z = obstacles.twists[obstacle, :3] * horizon
+    x, y, z = obstacles.twists[:3, obstacle] * horizon
     a, b, c = from_center(obstacles, obstacle, 0.0, start.x, start.y, start.z)
     apart = _segments_apart(
         Place(*in_unit_ball(
@@ -228,7 +228,7 @@ def _course_of_ball(
     horizon: float,
 ) -> float:
     """Return a link's smallest distance from the ball around another shape on its course [m]."""
-    x, y, z = obstacles.twists[obstacle, :3] * horizon
+    x, y, z = obstacles.twists[:3, obstacle] * horizon
     a, b, c = from_center(obstacles, obstacle, 0.0, start.x, start.y, start.z)
     core = core_of(obstacles, obstacle)
     corner = math.sqrt(core.x * core.x + core.y * core.y + core.z * core.z)

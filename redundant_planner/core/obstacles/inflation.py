@@ -76,18 +76,21 @@ class InflatedObstacles(NamedTuple):
     turned into the unit ball by y = diag(1/a) Rᵀ (x − c). Other shapes are a core, in the
     obstacle's axes Rᵀ (x − c), and what is within some distance of it.
 
+    The obstacles are the last axis of what every pair is measured with: numbers that lie side by
+    side are taken several at once.
+
     Attributes:
         shapes: (k,) as in `Scene`.
-        centers: (k, 3) c [m].
-        rotations: (k, 3, 3) R.
+        centers: (3, k) c [m].
+        rotations: (3, 3, k) R.
         cores: (k, 3) half extents of what is inflated: of a capsule those of its segment [m].
         inflation: (c, k) how far the surface is from the core [m]; nothing for ellipsoids.
-        inverse: (c, k, 3) 1 / inflated semi-axes a [1/m]; nothing for other shapes.
+        inverse: (c, 3, k) 1 / inflated semi-axes a [1/m]; nothing for other shapes.
         smallest: (c, k) smallest inflated half extent [m].
         may_touch: (c, k) pairs that are found closer than they should be without anything being
             wrong: they may stay so, and only not get closer. The walls of a workspace, and
             contacts that are allowed.
-        twists: (k, 6) velocities of the centres, and angular velocities, base frame [m/s, rad/s].
+        twists: (6, k) velocities of the centres, and angular velocities, base frame [m/s, rad/s].
         speeds: (k,) the fastest that any point of an obstacle moves [m/s].
     """
 
@@ -160,16 +163,19 @@ def _inflated_obstacles(
                 may_touch[link, i], grown[link, i] = True, max(radii[link] - margin, 0.0)
             inflation[link, i] = grown[link, i] + rounding
             smallest[link, i] = min(a, b, c) + grown[link, i]
-    inverse = inflated_semi_axes(half_extents, grown)
+    semi_axes, inverse = inflated_semi_axes(half_extents, grown), np.empty((links, 3, count))
+    centers, rotations, twists = np.empty((3, count)), np.empty((3, 3, count)), np.empty((6, count))
     for i in range(count):
         for link in range(links):
-            a, b, c = inverse[link, i]
+            a, b, c = semi_axes[link, i]
             if shapes[i] == ELLIPSOID:
                 smallest[link, i] = min(a, b, c)
-            for axis in range(3):
-                inverse[link, i, axis] = 1.0 / inverse[link, i, axis]
-    twists = np.empty((count, 6))
-    twists[:, :3], twists[:, 3:] = chosen.velocities, chosen.angular_velocities
+            inverse[link, 0, i], inverse[link, 1, i], inverse[link, 2, i] = 1 / a, 1 / b, 1 / c
+        for axis in range(3):
+            centers[axis, i] = chosen.centers[i, axis]
+            twists[axis, i] = chosen.velocities[i, axis]
+            twists[3 + axis, i] = chosen.angular_velocities[i, axis]
+            for other in range(3):
+                rotations[axis, other, i] = chosen.rotations[i, axis, other]
     return InflatedObstacles(
-        shapes, chosen.centers, chosen.rotations, cores, inflation, inverse, smallest, may_touch,
-        twists, speeds)
+        shapes, centers, rotations, cores, inflation, inverse, smallest, may_touch, twists, speeds)

@@ -282,6 +282,8 @@ def near_pairs_along(
     for at in range(count):
         for link in range(links):
             for obstacle in range(k):
+                if distance[at, link, obstacle] >= max(within, nearest):
+                    continue
                 if is_contact(obstacles, link, obstacle):
                     distance[at, link, obstacle] = np.inf
                 nearest = min(nearest, distance[at, link, obstacle])

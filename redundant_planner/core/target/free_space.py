@@ -139,7 +139,7 @@ class FreeSpace:
 
         Walls do not count.
         """
-        centers = self._obstacles.centers[self._obstacles.shapes != HALF_SPACE]
+        centers = self._obstacles.centers.T[self._obstacles.shapes != HALF_SPACE]
         if not len(centers):
             return np.zeros(len(postures))
         arms = self.robot.kinematics_along(postures)

@@ -68,8 +68,8 @@ def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed
     left_out = ~np.isin(np.arange(60), around.near)
     assert (distance[:, left_out] > around.range[:, None] - 1e-9).all()
     assert around.crowded or not left_out.any() or (distance[:, left_out] > reach).all()
-    np.testing.assert_array_equal(around.maps.centers, scene.centers[around.near])
-    np.testing.assert_array_equal(around.ahead.centers, scene.centers[around.nearest])
+    np.testing.assert_array_equal(around.maps.centers.T, scene.centers[around.near])
+    np.testing.assert_array_equal(around.ahead.centers.T, scene.centers[around.nearest])
     # Round ones are exactly in the order of their distance.
     balls = Scene.of(Obstacle(o.name, o.center, np.full(3, o.half_extents[0]))
                      for o in scene.obstacles())

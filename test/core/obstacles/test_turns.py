@@ -63,9 +63,8 @@ def test_the_first_turn_that_keeps_clear_is_chosen_else_the_least_short_one(robo
         assert at == int(np.argmin(expected)) and shortage == pytest.approx(
             expected.min(), abs=1e-12)
         clear += shortage == 0.0
-        worst = float(expected.min())
-        assert worst == 0.0 or best_turn(
-            *arguments, turns, worst, enough)[0] == -1
+        # No turn falls short of less than the best one.
+        assert shortage == 0.0 or best_turn(*arguments, turns, shortage, enough)[0] == -1
         # In several ticks, a few turns each, it comes to the same.
         assert done == len(turns)
         best, begin, rounds = (-1, np.inf), 0, 0
