@@ -13,6 +13,7 @@ import contextlib
 from importlib import import_module
 import io
 import multiprocessing
+import os
 import time
 
 # Steps of two lanes each: modules that do not import each other.
@@ -35,6 +36,8 @@ def main() -> int:
     """Compile everything; return the process's exit status."""
     begin = time.monotonic()
     print('compiling the mathematics of redundant_planner', flush=True)
+    # A fifth less work than the highest level, and the ticks are as fast.
+    os.environ.setdefault('NUMBA_OPT', '2')
     # The children inherit the libraries, which take seconds to load.
     for library in ('daqp', 'numba', 'pinocchio', 'scipy.spatial'):
         import_module(library)
