@@ -164,7 +164,8 @@ def _inflated_obstacles(
             inflation[link, i] = grown[link, i] + rounding
             smallest[link, i] = min(a, b, c) + grown[link, i]
     semi_axes, inverse = inflated_semi_axes(half_extents, grown), np.empty((links, 3, count))
-    centers, rotations, twists = np.empty((3, count)), np.empty((3, 3, count)), np.empty((6, count))
+    centers, rotations = np.empty((3, count)), np.empty((3, 3, count))
+    twists = np.empty((6, count))
     for i in range(count):
         for link in range(links):
             a, b, c = semi_axes[link, i]
