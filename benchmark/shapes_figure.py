@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis.figures import set_equal_axes, stretched
-from redundant_planner.analysis.style import OBSTACLE_COLOR, styled
+from redundant_planner.analysis.style import LIT_OBSTACLE, styled
 from redundant_planner.core.obstacles.obstacle import Obstacle
 
 Array = npt.NDArray[np.float64]
@@ -47,12 +47,14 @@ def draw(path: Path) -> None:
         corners: list[Array] = []
         for one in obstacles:
             surface = stretched(ball, one.shape, one.half_extents) @ one.rotation.T + one.center
-            axes.plot_surface(*np.moveaxis(surface, -1, 0), color=OBSTACLE_COLOR, linewidth=0,
+            axes.plot_surface(*np.moveaxis(surface, -1, 0), color=LIT_OBSTACLE, linewidth=0,
                               rcount=_ALONG, ccount=_AROUND, antialiased=False)
             corners.append(surface.reshape(-1, 3))
         set_equal_axes(axes, np.vstack(corners))
         axes.set_title(name)
-        axes.tick_params(labelsize=6)
+        axes.tick_params(labelsize=7)
+        axes.locator_params(nbins=4)
+        axes.set_box_aspect((1, 1, 1), zoom=0.82)  # or the labels are cut off
     figure.savefig(path, dpi=90)
 
 

@@ -10,13 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from redundant_planner.core.obstacles.obstacle import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    HALF_SPACE,
-    SHAPES,
-)
+from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, HALF_SPACE, SHAPES
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.playground.arm_view import capsule_surface, Color, wxyz_of
 from redundant_planner.playground.world import Item, item_name, Numbers
