@@ -35,7 +35,7 @@ for method in ('gradient_projection', 'dynamic_factor', 'variational'):
 
 for name, plot in zip(robot.joint_names, axes.flat):
     plot.set_title(name)
-axes[0, 0].legend(fontsize='small')
+figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside upper center', ncols=3)
 figure.supxlabel('time [s]')
 figure.supylabel('displacement [m, rad]')
 if len(sys.argv) > 1:
