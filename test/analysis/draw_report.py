@@ -34,6 +34,7 @@ def main():
                   deviceScaleFactor=1, mobile=False)
         page.call('Emulation.setEmulatedMedia', features=[
             {'name': 'prefers-color-scheme', 'value': 'dark' if options.dark else 'light'}])
+        page.call('Emulation.setScrollbarsHidden', hidden=True)
         page.go_to(options.report.resolve().as_uri())
         page.wait_for(DRAWN)
         page.value(MOVE)
