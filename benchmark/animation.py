@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib
-
-matplotlib.use('Agg')
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
@@ -25,6 +23,16 @@ from PIL import Image
 from benchmark.generator import DURATION, Task
 from benchmark.scenarios import DT, make_robot
 from redundant_planner.analysis.figures import capsule_surface, stretched
+from redundant_planner.analysis.style import (
+    GRID,
+    INK,
+    LIMIT_COLOR,
+    LIT_ARM,
+    LIT_OBSTACLE,
+    PAPER,
+    PATH_COLOR,
+    styled,
+)
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
@@ -37,8 +45,7 @@ from redundant_planner.simulation import simulate
 
 Array = npt.NDArray[np.float64]
 
-_ARM, _HIT, _OBSTACLE, _BASE = '#e9ecef', '#e63946', '#f4a261', '#adb5bd'
-_PATH, _FLOOR, _TEXT = '#1d6fb8', '#dee2e6', '#343a40'
+_BASE = '#adb5bd'
 # Where one looks from and where the light comes from, in the base frame.
 _ELEVATION, _AZIMUTH = np.deg2rad(24.0), np.deg2rad(-8.0)
 _LIGHT = np.array((0.6, -0.3, 0.75)) / np.linalg.norm((0.6, -0.3, 0.75))
@@ -104,7 +111,7 @@ def arm_surfaces(robot: Robot, obstacles: Sequence[Obstacle], q: Array) -> list[
     inside = depths(robot, obstacles, q) < 0.0
     return [
         Surface(_quads(capsule_surface(start, end, capsule.radius, 14, 25)),
-                _HIT if hit else _ARM)
+                LIMIT_COLOR if hit else LIT_ARM)
         for capsule, start, end, hit in zip(
             robot.capsules, arm.segment_start, arm.segment_end, inside)]
 
@@ -116,7 +123,7 @@ def standing_surfaces(obstacles: Sequence[Obstacle]) -> list[Surface]:
     ball = np.stack((np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)), -1)
     found = [
         Surface(_quads(stretched(ball, o.shape, o.half_extents) @ o.rotation.T + o.center),
-                _OBSTACLE) for o in obstacles]
+                LIT_OBSTACLE) for o in obstacles]
     base = capsule_surface(np.array((0.0, 0.0, 0.03)), np.array((0.0, 0.0, 0.12)), 0.085, 14, 25)
     return [*found, Surface(_quads(base), _BASE)]
 
@@ -159,9 +166,10 @@ def _floor(axes: Any) -> None:
     ticks = np.linspace(-0.4, 0.8, 7)
     lines = [np.array(((x, -0.6, 0.0), (x, 0.6, 0.0))) @ picture.T for x in ticks]
     lines += [np.array(((-0.4, y, 0.0), (0.8, y, 0.0))) @ picture.T for y in ticks - 0.2]
-    axes.add_collection(LineCollection(lines, colors=_FLOOR, linewidths=0.8, zorder=1.0))
+    axes.add_collection(LineCollection(lines, colors=GRID, linewidths=0.8, zorder=1.0))
 
 
+@styled
 def frame(
     robot: Robot, obstacles: Sequence[Obstacle], sides: Sequence[tuple[str, Array]], index: int,
     width: int,
@@ -176,7 +184,7 @@ def frame(
         width: of the picture [pixels].
     """
     dpi = 100.0
-    figure = Figure(figsize=(width / dpi, 0.52 * width / dpi), dpi=dpi, facecolor='white')
+    figure = Figure(figsize=(width / dpi, 0.52 * width / dpi), dpi=dpi, facecolor=PAPER)
     canvas = FigureCanvasAgg(figure)
     standing, (picture, _) = standing_surfaces(obstacles), _camera()
     size = width / 80.0
@@ -187,16 +195,16 @@ def frame(
         _floor(axes)
         draw(axes, standing + arm_surfaces(robot, obstacles, postures[index]))
         tips = np.array([robot.kinematics(q).tip_position for q in postures[::20]]) @ picture.T
-        axes.plot(*tips.T, color=_PATH, linewidth=0.15 * size, linestyle=(0, (3, 2)),
+        axes.plot(*tips.T, color=PATH_COLOR, linewidth=0.15 * size, linestyle=(0, (3, 2)),
                   zorder=3.0)
         axes.plot(*(robot.kinematics(postures[index]).tip_position @ picture.T), 'o',
-                  color=_PATH, markersize=0.5 * size, zorder=3.0)
+                  color=PATH_COLOR, markersize=0.5 * size, zorder=3.0)
         hit = min(depths(robot, obstacles, q).min() for q in postures[:index + 1:5]) < 0.0
-        figure.text(0.5 * side + 0.25, 0.945, title, ha='center', va='center', color=_TEXT,
+        figure.text(0.5 * side + 0.25, 0.945, title, ha='center', va='center', color=INK,
                     fontsize=size * 1.15, fontweight='bold')
         figure.text(0.5 * side + 0.25, 0.885, 'has run into an obstacle' if hit else 'no contact',
                     ha='center', va='center', fontsize=size,
-                    color=_HIT if hit else _TEXT)
+                    color=LIMIT_COLOR if hit else INK)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 

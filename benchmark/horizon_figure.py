@@ -90,7 +90,7 @@ def main() -> None:
                     {'traditional': traditional, **_OURS})
     print_table("The paper's scenario, whole links clear by the default margin", robot, found)
     columns = [robot.joint_names.index(name) for name in experiment.JOINTS]
-    joint_curves(_FOLDER / 'horizon_paper.png', experiment.JOINTS, 'displacement [rad, m]',
+    joint_curves(_FOLDER / 'horizon_paper.png', experiment.JOINTS, 'position [rad, m]',
                  {name: (_STYLES[name], times, positions[:, columns])
                   for name, (times, positions) in found.items()},
                  "The paper's scenario, whole links clear")
@@ -106,7 +106,7 @@ def main() -> None:
                             criteria_k_w=1.0, criteria_k_f=0.0),
                         **_OURS})
     print_table(f'A Panda, scenario {_PANDA_SEED} of the benchmark', robot, found)
-    joint_curves(_FOLDER / 'horizon_panda.png', robot.joint_names, 'displacement [rad]',
+    joint_curves(_FOLDER / 'horizon_panda.png', robot.joint_names, 'position [rad]',
                  {name: (_STYLES[name], *curve) for name, curve in found.items()},
                  f'A Panda, scenario {_PANDA_SEED} of the benchmark')
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis.figures import set_equal_axes, stretched
-from redundant_planner.analysis.style import OBSTACLE_COLOR, styled
+from redundant_planner.analysis.style import LIT_OBSTACLE, styled
 from redundant_planner.core.obstacles.obstacle import Obstacle
 
 Array = npt.NDArray[np.float64]
@@ -18,6 +20,8 @@ Array = npt.NDArray[np.float64]
 _FILE = Path(__file__).resolve().parent.parent / 'docs' / 'figures' / 'shapes.png'
 # Points of a surface, around and along it; multiples of 8 meet the edges of a box.
 _AROUND, _ALONG = 96, 96
+# From above and the right of where one looks from.
+_LIGHT = LightSource(azdeg=120.0, altdeg=50.0)
 
 
 def examples() -> dict[str, list[Obstacle]]:
@@ -40,19 +44,23 @@ def draw(path: Path) -> None:
     """Write the picture to a PNG file."""
     figure = Figure(figsize=(10.0, 6.4), layout='constrained')
     turn = np.linspace(0.0, 2.0 * np.pi, _AROUND + 1)
-    u, v = np.meshgrid(turn, np.linspace(0.0, np.pi, _ALONG + 1))
+    u, v = np.meshgrid(turn, np.linspace(np.pi, 0.0, _ALONG + 1))
     ball = np.stack((np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)), axis=-1)
     for place, (name, obstacles) in enumerate(examples().items(), 1):
         axes = figure.add_subplot(2, 3, place, projection='3d')
         corners: list[Array] = []
         for one in obstacles:
             surface = stretched(ball, one.shape, one.half_extents) @ one.rotation.T + one.center
-            axes.plot_surface(*np.moveaxis(surface, -1, 0), color=OBSTACLE_COLOR, linewidth=0,
-                              rcount=_ALONG, ccount=_AROUND, antialiased=False)
+            axes.plot_surface(*np.moveaxis(surface, -1, 0), color=LIT_OBSTACLE, linewidth=0,
+                              rcount=_ALONG, ccount=_AROUND, antialiased=False,
+                              lightsource=_LIGHT)
             corners.append(surface.reshape(-1, 3))
         set_equal_axes(axes, np.vstack(corners))
         axes.set_title(name)
-        axes.tick_params(labelsize=6)
+        axes.tick_params(labelsize=7)
+        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+            axis.set_major_locator(MaxNLocator(4, prune='both'))  # its ends meet in the corners
+        axes.set_box_aspect((1, 1, 1), zoom=0.82)  # or the labels are cut off
     figure.savefig(path, dpi=90)
 
 

@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from redundant_planner import Obstacle, Planner, PlannerParameters, Preview, Robot, Scene, simulate
+from redundant_planner.analysis.style import STYLE
 
 robot = Robot.from_file('package://redundant_planner/config/robots/paper_2p5r.yaml')
 scene = Scene.of([Obstacle('ball', center=[0.0, 0.55, 0.45], semi_axes=[0.05, 0.03, 0.03])])
@@ -20,6 +21,7 @@ start = [0.1, 0.1, 0.0, 0.52, -0.52, 1.05, 0.0]  # [m, rad]
 twist = [-0.029, -0.05, 0.004, 0.0, 0.0, 0.0]  # [m/s, rad/s]
 preview = Preview([0.0, 3.0], [twist, twist])
 
+plt.rcParams.update(STYLE)
 figure, axes = plt.subplots(2, 3, sharex=True, layout='constrained')
 print('method               joint path  squared velocities  clearance')
 for method in ('gradient_projection', 'dynamic_factor', 'variational'):
@@ -33,7 +35,7 @@ for method in ('gradient_projection', 'dynamic_factor', 'variational'):
 
 for name, plot in zip(robot.joint_names, axes.flat):
     plot.set_title(name)
-axes[0, 0].legend(fontsize='small')
+figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside upper center', ncols=3)
 figure.supxlabel('time [s]')
 figure.supylabel('displacement [m, rad]')
 if len(sys.argv) > 1:

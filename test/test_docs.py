@@ -66,3 +66,20 @@ def test_the_ten_lines_are_those_of_the_first_example():
     assert shown is not None
     example = (TOP / 'examples' / '01_follow_a_twist.py').read_text()
     assert example.endswith(shown.group(1))
+
+
+def test_each_picture_of_the_gallery_stands_above_the_command_that_makes_it():
+    text = (TOP / 'docs' / 'gallery.md').read_text()
+    parts = re.split(r'^!\[[^]]+\]\(([^)]+)\)$', text, flags=re.M)[1:]
+    pictures, below = parts[::2], parts[1::2]
+    assert len(pictures) > 10
+    for picture, words in zip(pictures, below):
+        assert (TOP / 'docs' / picture).stat().st_size < 800_000, picture
+    # Pictures of one command stand together.
+    assert [p for p, words in zip(pictures, below) if not re.search(r'^    \S', words, re.M)] == [
+        'figures/horizon_paper.png']
+    entry_points = (TOP / 'setup.py').read_text() + (TOP / 'setup.cfg').read_text()
+    for command in re.findall(r'^    (\w+) ', text, flags=re.M):
+        known = command in ('python', 'cp') or f'{command} =' in entry_points or (
+            TOP / 'redundant_planner' / 'tools' / f'{command}.py').is_file()
+        assert known or command == 'PYTHONPATH', command

@@ -99,7 +99,7 @@ def _motion_section(analyses: Sequence[Analysis]) -> str:
         for i, analysis in enumerate(analyses) if analysis.robot is not None)
     several = ' several' if len(analyses) > 1 else ''
     return ('<h2>The motion</h2><p class="lead">Time counts from the begin of the command. Press '
-            'on a curve to see the arm at that moment. The number beside a title is the value '
+            'on a curve to see the arm at that moment. The number above a curve is the value '
             f'there.</p>{_legend(analyses)}<div class="motion{several}">'
             f'<div class="views">{views}</div><div class="charts" id="charts-arm"></div></div>')
 

@@ -122,9 +122,8 @@ function newChart(panel) {
   const note = document.createElement('small');
   box.className = 'chart';
   title.textContent = `${panel.title} [${panel.unit.replace(/[\\[\\]]/g, '')}]`;
-  title.title = panel.title;
   note.textContent = panel.note;
-  head.append(title, read, note);
+  head.append(title, note, read);
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
   box.append(head, svg);
   byId('charts-' + panel.group).append(box);

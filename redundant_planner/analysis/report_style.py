@@ -80,10 +80,11 @@ thead th { color: var(--muted); font-weight: 600; vertical-align: bottom; white-
   vertical-align: -1px; margin-right: 6px; }
 .charts { display: grid; gap: 18px 20px; grid-template-columns: repeat(auto-fill,
   minmax(min(100%, 250px), 1fr)); }
-.chart { min-width: 0; margin: 0; } .chart figcaption { font-size: .82rem; line-height: 1.35;
-  display: grid; grid-template-columns: minmax(0, 1fr) auto; column-gap: 8px; }
-.chart b { overflow: hidden; text-overflow: ellipsis; white-space: nowrap; font-weight: 600; }
-.chart small { grid-column: 1 / -1; color: var(--muted); min-height: 1.35em; }
+.chart { min-width: 0; margin: 0; display: flex; flex-direction: column; }
+.chart figcaption { font-size: .82rem; line-height: 1.35; min-height: 2.7em; display: grid;
+  grid-template-columns: minmax(0, 1fr) auto; column-gap: 8px; margin-bottom: auto; }
+.chart b { grid-column: 1 / -1; font-weight: 600; overflow-wrap: anywhere; }
+.chart small { color: var(--muted); }
 .chart svg { display: block; width: 100%; height: auto; touch-action: pan-y; cursor: crosshair; }
 .chart text { fill: var(--muted); font-size: 10.5px; } .grid { stroke: var(--grid); }
 .zero { stroke: var(--rule); stroke-width: 1.5; } .now { stroke: var(--ink); opacity: .55; }

@@ -10,8 +10,6 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import matplotlib
-
-matplotlib.use('Agg')
 from matplotlib.rcsetup import cycler
 
 INK, MUTED, GRID, PAPER = '#1c2430', '#5b6675', '#e3e7ec', '#ffffff'
@@ -20,6 +18,10 @@ INK, MUTED, GRID, PAPER = '#1c2430', '#5b6675', '#e3e7ec', '#ffffff'
 SERIES = ('#0b6bb3', '#c44e12', '#007a5e', '#b58900', '#8f4a9e', '#3f9fd6', '#7a5230', '#5b6675')
 ARM_COLOR, PATH_COLOR, OBSTACLE_COLOR = '#1f3a5f', '#007a5e', '#c44e12'
 LIMIT_COLOR = '#a3241c'
+# Solids that are lit: pale enough to show which way a face looks.
+LIT_ARM, LIT_OBSTACLE = '#dee2e8', '#d5703c'
+# What boxes with ink on them are filled with.
+BLUE_FILL, SAND_FILL, GREY_FILL, AMBER_FILL = '#dbe9f4', '#f3e9dc', '#eef2f6', '#f6c177'
 # Commanded and measured are told apart by more than colour.
 LINE_STYLES: Mapping[str, str] = MappingProxyType({'commanded': '-', 'measured': '--'})
 DPI = 110

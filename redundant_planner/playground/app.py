@@ -24,7 +24,7 @@ from redundant_planner.playground.drive import (
 )
 from redundant_planner.playground.drive_controls import DriveControls
 from redundant_planner.playground.item_controls import ItemControls
-from redundant_planner.playground.items_view import ItemsView, moved
+from redundant_planner.playground.items_view import ItemsView, moved, OthersView
 from redundant_planner.playground.more_controls import Granted, MoreControls
 from redundant_planner.playground.obstacle_sender import ObstacleSender
 from redundant_planner.playground.page_server import Held, PageServer
@@ -126,6 +126,7 @@ class Playground:
         self._items_view = ItemsView(
             server.scene, lambda *drag: self._later(self._drag_item, *drag),
             lambda *click: self._later(self._click_item, *click))
+        self._others_view = OthersView(server.scene)
 
         async def comes(client: viser.ClientHandle) -> None:
             self._later(self._visitor_comes, client)
@@ -189,8 +190,8 @@ class Playground:
             chosen = self._driver.items.chosen
         self._items_view.show(items, chosen, time_of_things)
         if self._arms:
-            own = frozenset(items)
-            self._items_view.show_foreign(self._arms[0].client.scene, own)
+            arms = {arm.client.namespace.strip('/') for arm in self._arms}
+            self._others_view.show(self._arms[0].client.scene, frozenset(items) | arms)
         if now - self._written >= _FIGURES:
             self._written = now
             self._write_figures()

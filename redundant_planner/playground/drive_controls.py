@@ -22,6 +22,8 @@ Array = npt.NDArray[np.float64]
 _HELP = """Hold a key: **W S** ±x, **A D** ±y, **Q E** ±z, arrows and **R F** turn, **Shift**
 slower. A gamepad: hold a shoulder button. Or drag the handle at the tip. **Letting go stops the
 arm.**"""
+# Length of the arrows at the tip [m].
+HANDLE_SIZE = 0.22
 # How often a held button tells that it is held [Hz].
 _BEAT = 20.0
 _AXES = ('vx [m/s]', 'vy [m/s]', 'vz [m/s]', 'wx [rad/s]', 'wy [rad/s]', 'wz [rad/s]')
@@ -69,7 +71,8 @@ class DriveControls:
                         _AXES, (*(FASTEST_LINEAR,) * 3, *(FASTEST_ANGULAR,) * 3))]
                 holding = gui.add_button('Hold to drive (or hold Space)')
                 zeroing = gui.add_button('All to zero')
-        self._handle = client.scene.add_transform_controls('/handle', scale=0.22, depth_test=False)
+        self._handle = client.scene.add_transform_controls(
+            '/handle', scale=HANDLE_SIZE, depth_test=False)
 
         async def held(event: Any) -> None:
             later(hold)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER
+from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, HALF_SPACE, SHAPES
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.playground.arm_view import capsule_surface, Color, wxyz_of
 from redundant_planner.playground.world import Item, item_name, Numbers
@@ -18,10 +18,12 @@ from redundant_planner.playground.world import Item, item_name, Numbers
 Array = npt.NDArray[np.float64]
 
 _STILL, _MOVES, _CHOSEN = (214, 120, 84), (226, 170, 70), (245, 200, 150)
-_FOREIGN = (150, 150, 155)
+_OTHERS = (150, 150, 155)
 _OPACITY = 0.85
 # Obstacles of others that are shown: what a browser draws with ease.
-_MOST_FOREIGN = 400
+_MOST_OTHERS = 400
+# Sizes that agree to so many digits look alike [m].
+_DIGITS = 4
 
 # What is told of a drag: the item's name, where its middle is dragged to, whether it has ended.
 Dragged = Callable[[int, str, Numbers, bool], object]
@@ -42,7 +44,6 @@ class ItemsView:
         """
         self._scene, self._dragged, self._clicked = scene, dragged, clicked
         self._handles: dict[str, tuple[Item, Color, Any]] = {}
-        self._foreign: tuple[Scene | None, frozenset[str], list[Any]] = (None, frozenset(), [])
 
     def show(self, items: Mapping[str, Item], chosen: str, now: float) -> None:
         """Show items at a time [s], one of them chosen."""
@@ -63,22 +64,6 @@ class ItemsView:
             if known is None or wanted != color:
                 handle.color = wanted
             self._handles[name] = item, wanted, handle
-
-    def show_foreign(self, scene: Scene, own: frozenset[str]) -> None:
-        """Show obstacles of others, from the planner's scene; they cannot be dragged."""
-        if scene is self._foreign[0] and own == self._foreign[1]:
-            return
-        for handle in self._foreign[2]:
-            handle.remove()
-        rows = [i for i, name in enumerate(scene.names) if item_name(name) not in own
-                and scene.obstacle(i).shape != 'half_space'][:_MOST_FOREIGN]
-        self._foreign = scene, own, [self._foreign_one(scene, i) for i in rows]
-
-    def _foreign_one(self, scene: Scene, i: int) -> Any:
-        obstacle = scene.obstacle(i)
-        sizes: Numbers = tuple((2.0 * obstacle.half_extents).tolist())
-        return _solid(self._scene, f'/others/{i}', obstacle.shape, sizes, _FOREIGN,
-                      position=obstacle.center, wxyz=wxyz_of(obstacle.rotation))
 
     def _drawn(self, item: Item) -> Any:
         handle = _solid(self._scene, f'/items/{item.name}', item.shape, item.size, _STILL)
@@ -103,6 +88,51 @@ class ItemsView:
         handle.on_drag(drag)
         handle.on_click(click)
         return handle
+
+
+class OthersView:
+    """Draws obstacles of others, from a planner's scene; they cannot be dragged."""
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        """Prepare to draw into a scene."""
+        self._scene = scene
+        self._shown: tuple[Scene | None, frozenset[str]] = (None, frozenset())
+        # What stands in each place is drawn anew only if it looks different: where another arm
+        # moves, all of them move in every picture.
+        self._places: list[tuple[tuple[str, Numbers], Any]] = []
+
+    def show(self, scene: Scene, left_out: frozenset[str]) -> None:
+        """Show the obstacles of a scene.
+
+        Args:
+            scene: what the planner keeps clear of.
+            left_out: names, and beginnings of names before a slash, of what is drawn otherwise.
+        """
+        if self._shown[0] is scene and self._shown[1] == left_out:
+            return
+        self._shown = scene, left_out
+        rows = [i for i, name in enumerate(scene.names)
+                if item_name(name) not in left_out and name.partition('/')[0] not in left_out
+                and SHAPES[scene.shapes[i]] != HALF_SPACE][:_MOST_OTHERS]
+        for _, handle in self._places[len(rows):]:
+            handle.remove()
+        del self._places[len(rows):]
+        for place, row in enumerate(rows):
+            self._show_one(place, scene, row)
+
+    def _show_one(self, place: int, scene: Scene, row: int) -> None:
+        shape = SHAPES[scene.shapes[row]]
+        sizes = tuple(np.round(2.0 * scene.half_extents[row], _DIGITS).tolist())
+        where = {'position': scene.centers[row], 'wxyz': wxyz_of(scene.rotations[row])}
+        if place < len(self._places):
+            looks, handle = self._places[place]
+            if looks == (shape, sizes):
+                handle.position, handle.wxyz = where['position'], where['wxyz']
+                return
+            handle.remove()
+            del self._places[place]
+        handle = _solid(self._scene, f'/others/{place}', shape, sizes, _OTHERS, **where)
+        self._places.insert(place, ((shape, sizes), handle))
 
 
 def _looks(item: Item) -> tuple[Any, ...]:

@@ -46,10 +46,16 @@ Array = npt.NDArray[np.float64]
 _SILENCE = 1.0
 # A command that has been silent for this long is none [s].
 _SILENCE_OF_TWIST = 0.2
-# Messages that may wait for a look at them: half a second at 1 kHz.
-_DEPTH = 500
+# Commands, and messages of a topic of obstacles, that may wait for a look at them. Of commands a
+# look takes no more, however late it comes.
+_COMMANDS, _OBSTACLES = 100, 500
+# How long one look reads messages of a topic of obstacles, of those that wait [s]. Reading all of
+# them would let more pile up meanwhile than before, and the page would stand still.
+_READING = 0.005
 # Periods that are looked at together, and how many of the latest they are.
 _PERIODS = 500
+# How the topic with the shape of another arm ends.
+_BODY = '/body'
 # What makes a robot, and not how it is moved.
 _OF_ROBOT = ('robot_description', 'tip_frame', 'base_frame', 'mount_frame', 'mount_pose',
              'capsules', 'capsule', 'axes', 'command_frame', 'locked_joints')
@@ -119,18 +125,19 @@ class PlannerClient:
         self._made_of: dict[str, Any] = {}
         self._reader = self._commands_reader = JointReader(())
         self._sources = ObstacleSources.of(1, (), (), transform=None, estimate_velocity=False)
-        self._inboxes: dict[str, PolledSubscription] = {}
+        self._inboxes: dict[str, tuple[PolledSubscription, deque[bytes]]] = {}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         node.create_subscription(
             String, f'{planner}/configuration', self._on_configuration, latched)
         node.create_subscription(DiagnosticArray, f'{planner}/target', self._on_target, latched)
         node.create_subscription(MarkerArray, f'{planner}/markers', self._on_markers, 1)
         node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
-        hearsay = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._states, self._commands = (
-            PolledSubscription(node, JointState, topic, hearsay)
-            for topic in ('joint_states', 'joint_command'))
-        self._heard_twists = PolledSubscription(node, Twist, 'cmd_vel', hearsay)
+        self._states, self._commands, self._heard_twists = (
+            PolledSubscription(node, kind, topic, QoSProfile(
+                depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT))
+            for kind, topic, depth in ((JointState, 'joint_states', 1),
+                                       (JointState, 'joint_command', _COMMANDS),
+                                       (Twist, 'cmd_vel', 1)))
         self._twist, self._twist_at = np.zeros(6), -np.inf
         self._twists = self._targets = None
         if drives:
@@ -163,16 +170,24 @@ class PlannerClient:
                 if self.motion is None:
                     self.motion = Motion(q, np.zeros(robot.n), np.zeros(robot.n))
                 self.motion.measured, self.motion.heard = q, time.monotonic()
+            if self.motion is not None and len(commands) == _COMMANDS:
+                self.motion.command_stamp = 0  # those before may be lost, and no period is known
             for raw in commands if self.motion is not None else ():
                 self._take_command(raw)
             for raw in self._heard_twists.fetch():
                 self._twist, self._twist_at = twist_from_bytes(raw), time.monotonic()
         except StateError as error:
             self.trouble = str(error)
-        now = time.monotonic()
-        for i, inbox in enumerate(self._inboxes.values()):
-            for raw in inbox.fetch():
-                self._sources.update(raw, now, i)
+        self._read_obstacles(time.monotonic())
+
+    def _read_obstacles(self, now: float) -> None:
+        for i, (inbox, waiting) in enumerate(self._inboxes.values()):
+            waiting.extend(inbox.fetch())
+            enough = time.perf_counter() + _READING
+            while waiting:
+                self._sources.update(waiting.popleft(), now, i)
+                if time.perf_counter() > enough:
+                    break
         self._sources.expire(now)
 
     @property
@@ -231,11 +246,14 @@ class PlannerClient:
         static = [*recorded_obstacles(values, notes), *recorded_walls(values, notes)]
         topics = [self._node.resolve_topic_name(topic) for topic in (
             values.get('obstacle_topics') or obstacle_topics(values))]
-        self.obstacle_topic = next((t for t in topics if not t.endswith('/body')), '')
+        self.obstacle_topic = next((t for t in topics if not t.endswith(_BODY)), '')
         for topic in topics:
             if topic not in self._inboxes:
-                self._inboxes[topic] = PolledSubscription(
-                    self._node, MarkerArray, topic, QoSProfile(depth=_DEPTH))
+                # Each message of another arm's says all, so the latest is enough.
+                depth = 1 if topic.endswith(_BODY) else _OBSTACLES
+                self._inboxes[topic] = (
+                    PolledSubscription(self._node, MarkerArray, topic, QoSProfile(depth=depth)),
+                    deque(maxlen=depth))
         self._sources = ObstacleSources.of(
             len(self._inboxes), static, (self.robot.base_frame, ''), transform=None,
             estimate_velocity=False)

@@ -16,7 +16,7 @@ import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
-from redundant_planner.analysis.style import INK, MUTED, styled
+from redundant_planner.analysis.style import BLUE_FILL, INK, LIMIT_COLOR, MUTED, SAND_FILL, styled
 
 PACKAGE = 'redundant_planner'
 _SOURCE = Path(__file__).resolve().parent.parent
@@ -57,7 +57,6 @@ _PLACES = {
 # Around the rooms of the core: left, lower edge, width, height.
 _CORE_FRAME = (0.0, 0.12, 3.9, 3.62)
 _WIDTH, _HEIGHT = 0.9, 0.52
-_CORE, _OUTER, _UPWARD = '#dbe9f4', '#f3e9dc', '#a3241c'
 # What every room may use.
 _COMMON = tuple(f'{PACKAGE}.core.{name}' for name in ('kernels', 'errors', 'numbers', 'constants',
                                                       'parameters'))
@@ -149,7 +148,7 @@ def draw(path: Path, imports: Mapping[str, tuple[str, ...]]) -> None:
     for i, step in enumerate(_STEPS):
         left = i * width + 0.05
         color = ('white' if i in (0, len(_STEPS) - 1)
-                 else _CORE if step.startswith('core') else _OUTER)
+                 else BLUE_FILL if step.startswith('core') else SAND_FILL)
         _box(axes, (left, 7.85, width - 0.1, 0.62), step, color)
         if i:
             axes.add_patch(FancyArrowPatch((left - 0.1, 8.16), (left, 8.16), arrowstyle='-|>',
@@ -158,7 +157,7 @@ def draw(path: Path, imports: Mapping[str, tuple[str, ...]]) -> None:
     for room, other in drawn_arrows(imports):
         _arrow(axes, room, other)
     for room, place in _PLACES.items():
-        color = _CORE if room.startswith('core') else _OUTER
+        color = BLUE_FILL if room.startswith('core') else SAND_FILL
         _box(axes, (*place, _WIDTH, _HEIGHT), room, color, _HOLDS[room])
     metadata = {'Date': None} if path.suffix == '.svg' else None
     figure.savefig(path, metadata=metadata)
@@ -193,7 +192,7 @@ def _arrow(axes: Any, room: str, other: str) -> None:
     if other == 'core' and not room.startswith('core'):
         stop = (start[0], _CORE_FRAME[1] + _CORE_FRAME[3])
     axes.add_patch(FancyArrowPatch(
-        start, stop, arrowstyle='-|>', mutation_scale=12, color=MUTED if down else _UPWARD,
+        start, stop, arrowstyle='-|>', mutation_scale=12, color=MUTED if down else LIMIT_COLOR,
         linewidth=1.1, shrinkA=0.0, shrinkB=0.0, zorder=1.0))
 
 

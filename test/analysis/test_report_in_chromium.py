@@ -41,6 +41,8 @@ AFTER = """<script>setTimeout(() => {
     cursor: cursorPlace(), background: getComputedStyle(document.body).backgroundColor,
     canvases: document.querySelectorAll('#view0 canvas').length,
     views: document.querySelectorAll('.view canvas').length,
+    cut: [...document.querySelectorAll('.chart b')].filter(
+      one => one.scrollWidth > one.clientWidth).map(one => one.textContent),
     curves: [...document.querySelectorAll('path.curve')].map(one => one.getAttribute('d').length),
     bad: document.querySelectorAll('.chart svg *').length
       && document.querySelector('.charts').innerHTML.includes('NaN')})}, 300);
@@ -81,6 +83,7 @@ def test_it_fits_is_drawn_at_once_and_plays(analyses, tmp_path, bags, width):
     result = seen(tmp_path, page_of(analyses[:bags]), width)
     assert result['troubles'] == []
     assert result['width'] <= width and result['outside'] == []
+    assert result['cut'] == []  # titles
     assert result['scrollWidth'] <= width
     # Links, chain, obstacles, tip, trail so far, whole trail and first posture, before it plays.
     counts = result['before']['traces']

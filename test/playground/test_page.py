@@ -26,6 +26,7 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.nodes.polled_subscription import PolledSubscription
+from redundant_planner.playground.drive_controls import HANDLE_SIZE
 from redundant_planner.playground.scenes import page_scenes
 from redundant_planner.playground.world import MOST_ITEMS
 
@@ -90,14 +91,18 @@ class Arm:
                     self._markers.pop(marker.ns, None)
         return self._markers
 
-    def tip_of(self, topic):
-        """Return where the tip of the Panda behind a topic is now."""
+    def posture_of(self, topic):
+        """Return how the Panda behind a topic stands now."""
         self.messages(JointState, topic)
         states = []
         self.wait_for(lambda: states.extend(self.messages(JointState, topic)) or states, topic)
         message = states[-1]
         return PANDA.kinematics([message.position[message.name.index(name)]
-                                 for name in PANDA.joint_names]).tip_position
+                                 for name in PANDA.joint_names])
+
+    def tip_of(self, topic):
+        """Return where the tip of the Panda behind a topic is now."""
+        return self.posture_of(topic).tip_position
 
     @property
     def tip(self):
@@ -232,11 +237,7 @@ def test_an_obstacle_that_is_dragged_into_the_way_stops_the_arm(tmp_path):
         begin = np.array([getattr(arm.markers['ball'].pose.position, c) for c in 'xyz'])
         # Where the page's first camera sees the ball; away from the arm.
         x, y = seen_at(page, begin)
-        page.mouse('mouseMoved', x, y)
-        page.mouse('mousePressed', x, y, held=True)
-        for step in range(1, 11):
-            page.mouse('mouseMoved', x + 10 * step, y - 8 * step, held=True)
-        page.mouse('mouseReleased', x + 100, y - 80)
+        drag(page, (x, y), (x + 100, y - 80))
 
         def moved():
             position = arm.markers['ball'].pose.position
@@ -263,6 +264,26 @@ def test_an_obstacle_that_is_dragged_into_the_way_stops_the_arm(tmp_path):
         assert -0.3 < arm.tip[1] < begin[1] - 0.05
         page.key('KeyD', down=False)
         arm.comes_to_rest()
+        assert not page.errors
+
+
+@IN_BROWSER
+def test_the_arm_goes_where_its_handle_is_dragged(tmp_path):
+    with playground(tmp_path) as (arm, url), Chromium() as chromium:
+        page = chromium.open(url)
+        ready(page)
+        page.wait_for(f'{DRAWN}.then((colours) => colours > 20)')
+        begin = arm.posture_of('joint_states')
+        place, along = begin.tip_position, begin.tip_rotation[:, 2]
+        # By the arrow that points out of the hand, down: up by twelve centimetres.
+        taken = place + 0.8 * HANDLE_SIZE * along
+        drag(page, seen_at(page, taken), seen_at(page, taken - 0.12 * along))
+        page.wait_for(f'{FIGURES}.innerText.includes("target")')
+        arm.wait_for(lambda: arm.tip[2] > place[2] + 0.1, 'motion to the handle')
+        arm.comes_to_rest()
+        # It goes on to where the handle was left, and stays in its line.
+        np.testing.assert_allclose(arm.tip, place - 0.12 * along, atol=0.015)
+        picture(page, 'handle')
         assert not page.errors
 
 
@@ -343,24 +364,26 @@ def test_attached_it_only_watches(tmp_path):
 
 
 @IN_BROWSER
-def test_another_scene_brings_other_arms(tmp_path):
+def test_two_arms_are_driven_one_after_the_other(tmp_path):
     with playground(tmp_path) as (arm, url), Chromium() as chromium:
         page = chromium.open(url)
         ready(page)
         first = page.value(f'{TOKEN}.dataset.playgroundToken')
         choose(page, 'Panda past obstacles', 'Two arms')
         page.wait_for(f"{TOKEN} && {TOKEN}.dataset.playgroundToken !== '{first}'")
-        arm.tip_of('/right/joint_states')
-        page.wait_for(f'{FIGURES} && {FIGURES}.innerText.includes("nearest")')
-        page.wait_for(f'{FIGURES}.innerText.includes("desired")')
-
-        def tip():
-            return arm.tip_of('/right/joint_states')
-
-        choose(page, 'left', 'right')
-        page.wait_for(f'{FIGURES}.innerText.includes("desired")')
-        before = tip()
-        hold(arm, page, 'KeyQ', lambda: tip()[2] > before[2] + 0.02, 'motion of the right arm')
+        for side in ('left', 'right'):
+            if side == 'right':
+                choose(page, 'left', 'right')
+            topic = f'/{side}/joint_states'
+            begin = arm.tip_of(topic)
+            page.wait_for(f'{FIGURES} && {FIGURES}.innerText.includes("desired")')
+            other = 'right' if side == 'left' else 'left'
+            page.wait_for(f'{FIGURES}.innerText.includes("to {other}/")')
+            # Further than one key's message takes it: the page has to go on driving.
+            hold(arm, page, 'KeyQ', lambda t=topic, z=begin[2]: arm.tip_of(t)[2] > z + 0.12,
+                 f'motion of the {side} arm')
+            page.wait_for(f'!{FIGURES}.innerText.includes("silent")')
+        picture(page, 'two_arms')
         assert not page.errors
 
 
@@ -385,6 +408,15 @@ def press(page, words):
     page.value(f"""new Promise((done) => setTimeout(() => done(
         [...document.querySelectorAll('button')].find(
             (button) => button.innerText.trim() === '{words}').click()), 300))""")
+
+
+def drag(page, start, end):
+    """Drag what is at one place to another one [px], in ten steps."""
+    page.mouse('mouseMoved', *start)
+    page.mouse('mousePressed', *start, held=True)
+    for share in np.linspace(0.1, 1.0, 10):
+        page.mouse('mouseMoved', *(np.array(start) + share * np.subtract(end, start)), held=True)
+    page.mouse('mouseReleased', *end)
 
 
 def seen_at(page, point):

@@ -14,9 +14,10 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.io.collision_geometry import collision_pieces
 from redundant_planner.io.link_surfaces import link_surfaces
-from redundant_planner.playground.arm_view import capsule_surface
+from redundant_planner.playground.arm_view import capsule_surface, LinksView
 from redundant_planner.playground.figures_view import figures_html
 from redundant_planner.playground.ghost import Ghost, METHODS_TO_COMPARE
+from redundant_planner.playground.items_view import OthersView
 from redundant_planner.playground.measures import nearest_pair, Tally
 from redundant_planner.playground.planner_client import Motion
 
@@ -64,6 +65,63 @@ def test_the_nearest_pair_is_between_the_surfaces():
     # The distance of an ellipsoid is a bound from below, and exact of a ball.
     assert np.linalg.norm(near.ends[0] - near.ends[1]) == pytest.approx(near.distance, abs=1e-3)
     assert nearest_pair(PANDA, ARM, Scene.of()) is None
+
+
+class Drawn:
+    """Stands for viser's scene: counts what is added, and keeps where it was moved to."""
+
+    def __init__(self):
+        self.added = 0
+
+    def __getattr__(self, name):
+        assert name.startswith('add_'), name
+
+        def add(*_, **properties):
+            self.added += 1
+            return SimpleNamespace(**{
+                'position': None, 'wxyz': None, 'visible': True, **properties,
+                'remove': lambda: setattr(self, 'added', self.added - 1)})
+        return add
+
+
+def test_another_arm_that_moves_is_moved_and_not_drawn_anew():
+    drawn = Drawn()
+    view = OthersView(drawn)
+    for i in range(50):
+        arm = PANDA.kinematics(PANDA_READY + 0.01 * i)
+        view.show(Scene.of([
+            Obstacle.capsule(f'right/{capsule.name}/{k}', 0.5 * (start + end), capsule.radius,
+                             float(np.linalg.norm(end - start)))
+            for k, (capsule, start, end) in enumerate(zip(
+                PANDA.capsules, arm.segment_start, arm.segment_end))]), frozenset())
+        assert drawn.added == len(PANDA.capsules) == len(view._places)
+    np.testing.assert_allclose(view._places[0][1].position,
+                               0.5 * (arm.segment_start[0] + arm.segment_end[0]))
+    # Another shape in its place is drawn anew, and what has gone is gone.
+    view.show(Scene.of([Obstacle.box('thing', (1.0, 0.0, 0.0), (0.1, 0.1, 0.1))]), frozenset())
+    assert len(view._places) == drawn.added == 1 and view._places[0][0][0] == 'box'
+    # The page draws its own items and arms otherwise.
+    ours = [Obstacle.box(name, (1.0, 0.0, 0.0), (0.1, 0.1, 0.1))
+            for name in ('item/0', 'right/hand/3', 'theirs/0')]
+    view.show(Scene.of(ours), frozenset(('item', 'right')))
+    assert drawn.added == 1
+
+
+def test_links_that_are_hidden_or_at_rest_are_left_alone():
+    surfaces = link_surfaces(PANDA, PANDA_URDF.parent)
+    view = LinksView(Drawn(), '/arm', PANDA, surfaces)
+    for capsules in (False, True):
+        view.show(links=not capsules, capsules=capsules)
+        handles = (view._surfaces, view._capsules)
+        for turn in (0.0, 0.1):
+            view.move(PANDA.kinematics(PANDA_READY + turn))
+            moved, left = handles[capsules], handles[not capsules]
+            assert all(handle.position is not None for handle in moved)
+            assert all(handle.position is None for handle in left)
+        for handle in (*view._surfaces, *view._capsules):
+            handle.position = None
+        view.move(PANDA.kinematics(PANDA_READY + turn))
+        assert all(handle.position is None for handle in moved)
 
 
 @pytest.mark.parametrize('method', METHODS_TO_COMPARE)
