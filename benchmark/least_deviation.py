@@ -206,10 +206,11 @@ class LeastDeviation:
             for link, (start, end) in zip(self._robot.capsules, ends)
             for obstacle in self._task.obstacles]
         turned = ca.mtimes(wanted, tip[:3, :3].T)
+        error = ca.vertcat(away / _UNIT, ca.inv_skew(0.5 * (turned - turned.T)))
+        controlled = self._robot.task_rows(np.arange(6)).astype(int).tolist()
         return (
             ca.Function('looked_at', [q, share, time], [off / _UNIT ** 2, ca.vertcat(*clear)]),
-            ca.Function('end', [q, share], [ca.vertcat(away / _UNIT, ca.inv_skew(
-                0.5 * (turned - turned.T)))]))
+            ca.Function('end', [q, share], [error[controlled]]))
 
 
 def _turned(vector: Array, share: ca.SX) -> ca.SX:
