@@ -36,6 +36,8 @@ _TOLERANCE = 1e-5
 _ITERATIONS = 200
 # Motions this near in what is minimised are the same: 1 % in the deviation.
 _ALIKE = 0.02
+# A deviation this small is none, in `_UNIT`.
+_NOTHING = 0.01
 # Poses of a path that the tip is compared with.
 _SHARES = 301
 
@@ -86,7 +88,7 @@ class LeastDeviation:
 
     def __init__(
         self, robot: Robot, task: Task, seconds: float, *, lever: float = 0.0,
-        step: float = 0.16,
+        margin: float | None = None, step: float = 0.16,
     ) -> None:
         """Write the problem down; solving is `best`.
 
@@ -96,12 +98,13 @@ class LeastDeviation:
             seconds: after which the tip is back on its path.
             lever: what a radian of the tip's orientation counts beside a metre [m]; 0 leaves the
                 orientation free until the end.
+            margin: kept between links and obstacles [m]; the planner's if None.
             step: between two knots [s].
         """
         self._robot, self._task, self._step = robot, task, step
         self._count = round(seconds / step)
         p = PlannerParameters()
-        self._margin = p.clearance_margin
+        self._margin = p.clearance_margin if margin is None else margin
         self._low = robot.position_min + p.limits_position_margin
         self._high = robot.position_max - p.limits_position_margin
         self._path, self._lever = Path.of(robot, task), lever
@@ -110,7 +113,7 @@ class LeastDeviation:
     def best(self, motions: Iterable[Array]) -> Array | None:
         """Return the control points (K + 2, n) that deviate least; None where no start led to any.
 
-        Ends once two starts have led to the least.
+        Ends once two starts have led to the least, or one to a motion on the path.
 
         Args:
             motions: starts: postures (k, n), evenly over the time.
@@ -128,7 +131,8 @@ class LeastDeviation:
                 least = now
                 points = np.array(found['x'])[:begin.size].reshape(begin.shape)
                 best = np.vstack((self._task.start, self._task.start, points))
-            if abs(now - before) < _ALIKE * least:
+            largest = float(np.array(found['x'])[-1])
+            if abs(now - before) < _ALIKE * least or largest < _NOTHING ** 2:
                 break
         return best
 
