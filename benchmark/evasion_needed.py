@@ -2,17 +2,18 @@
 
 For the scenes of `benchmark.scenarios --moving`, beside what the planner does there. An optimiser
 that knows the obstacles' whole course looks for the joint motion whose largest deviation from the
-path is least (`benchmark/least_deviation.py`). It keeps the planner's margins and limits (of
-obstacles, what the planner kept where that was less), and has to be back on the path at the end. Two measures, each with its own motion:
+path is least (`benchmark/least_deviation.py`). It keeps the planner's limits and clearance (what
+the planner kept, where that was less than its margin), and is back on the path at the end. Each
+of two measures has a motion of its own:
 
-- position: distance of the tip from its path, a line, wherever along it. The orientation is free
-  meanwhile, and the speed is free. No motion that does the task deviates less, so this asks most
-  of whoever is compared with it.
-- pose: the same with the orientation, metres and radians alike, as the planner weighs them.
+- position: distance of the tip from its path, wherever along it, as the judge measures it. Speed
+  and orientation are free meanwhile, so no other measure asks less of the computed motion.
+- pose: the orientation counts as well, metres and radians alike, as the planner weighs them.
 
-An optimiser finds the best near its starts, so it begins with several: the planner's own motion,
-the one without obstacles, an arm that stands, and one that leans aside. coal and the judge's
-limits measure what comes out, every 4 ms.
+What is computed is a motion that can be made, not a proof that none is better. An optimiser finds
+the best near its starts, so it begins with several: the planner's own motion, an arm that stands,
+the motion without obstacles, and one that leans aside. coal and the judge's limits measure what
+comes out, every 4 ms.
 """
 
 from __future__ import annotations

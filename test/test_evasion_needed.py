@@ -15,16 +15,9 @@ from redundant_planner.core.robot.se3 import Pose
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 pytest.importorskip('casadi')
-from benchmark.evasion_needed import (  # noqa: E402
-    Comparison,
-    Deviation,
-    deviation,
-    DT,
-    starts,
-    summarise,
-)
-from benchmark.generator import DURATION, path_poses, Task  # noqa: E402
-from benchmark.least_deviation import LeastDeviation, Path as TipPath  # noqa: E402
+from benchmark.evasion_needed import Comparison, Deviation, deviation, DT, starts, summarise
+from benchmark.generator import DURATION, path_poses, Task
+from benchmark.least_deviation import LeastDeviation, Path as TipPath
 
 ARM = make_planar(link_radius=0.03)
 START = np.array([0.4, 0.7, 0.6])
