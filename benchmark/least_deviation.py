@@ -131,7 +131,7 @@ class LeastDeviation:
                 least = now
                 points = np.array(found['x'])[:begin.size].reshape(begin.shape)
                 best = np.vstack((self._task.start, self._task.start, points))
-            largest = float(np.array(found['x'])[-1])
+            largest = float(found['x'][-1])
             if abs(now - before) < _ALIKE * least or largest < _NOTHING ** 2:
                 break
         return best
