@@ -157,8 +157,8 @@ def compare(robot: Robot, task: Task) -> list[Comparison]:
             found.append(Comparison(task.seed, name, own, own, ran.reasons))
             continue
         margin = min(max(own.clearance, 0.0), PlannerParameters().clearance_margin)
-        problem = LeastDeviation(robot, task, SECONDS, lever=lever, margin=margin)
-        points = problem.best(begins)
+        problem = LeastDeviation(robot, task, SECONDS, begins, lever=lever, margin=margin)
+        points = problem.best()
         computed = None
         if points is not None:
             postures = problem.postures(points, DT)

@@ -37,9 +37,10 @@ def passing(beside):
 
 def least(task, lever=0.0):
     """Return the computed motion's postures and what it came to."""
-    problem = LeastDeviation(ARM, task, SECONDS, lever=lever)
     own = np.tile(task.start, (round(SECONDS / DT) + 1, 1))
-    points = problem.best([own, own + np.linspace(0.0, 0.3, len(own))[:, None]])
+    motions = [own, own + np.linspace(0.0, 0.3, len(own))[:, None]]
+    problem = LeastDeviation(ARM, task, SECONDS, motions, lever=lever)
+    points = problem.best()
     postures = problem.postures(points, DT)
     return postures, deviation(ARM, task, postures, lever)
 
