@@ -52,6 +52,8 @@ _ON_PATH = 1e-3
 # How far an arm leans aside as a start, about, and when [rad, s].
 _LEAN, _LEAN_FROM, _LEAN_UNTIL = 0.7, 0.5, 4.5
 _LEANS = 1
+# How often a motion is asked to keep more, and what it may lack [m].
+_TIGHTENED, _LACK = 3, 2e-3
 _EVERY = 2  # ticks at which deviations are measured, as the judge does
 
 
@@ -157,16 +159,36 @@ def compare(robot: Robot, task: Task) -> list[Comparison]:
             found.append(Comparison(task.seed, name, own, own, ran.reasons))
             continue
         margin = min(max(own.clearance, 0.0), PlannerParameters().clearance_margin)
-        problem = LeastDeviation(robot, task, SECONDS, begins, lever=lever, margin=margin)
-        points = problem.best()
+        postures = _least(robot, task, begins, lever, margin)
         computed = None
-        if points is not None:
-            postures = problem.postures(points, DT)
+        if postures is not None:
             computed = deviation(robot, task, postures, lever)
             # What leaves the path least in one measure does well in the next one.
             begins.insert(0, postures)
         found.append(Comparison(task.seed, name, own, computed, ran.reasons))
     return found
+
+
+def _least(
+    robot: Robot, task: Task, begins: list[Array], lever: float, margin: float,
+) -> Array | None:
+    """Return the postures (k, n), every `DT`, that deviate least; None if none keep clear.
+
+    An optimiser looks at some instants only. What comes nearer in between is asked to keep as much
+    more, until it keeps the margin at every tick.
+    """
+    kept = margin
+    for _ in range(_TIGHTENED):
+        problem = LeastDeviation(robot, task, SECONDS, begins, lever=lever, margin=kept)
+        points = problem.best()
+        if points is None:
+            return None
+        postures = problem.postures(points, DT)
+        lack = margin - deviation(robot, task, postures, lever).clearance
+        if lack < _LACK:
+            return postures
+        kept, begins = kept + lack, [postures, *begins[:2]]
+    return None
 
 
 def _job(seed: int) -> list[Comparison]:
