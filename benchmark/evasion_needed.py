@@ -6,9 +6,11 @@ path is least (`benchmark/least_deviation.py`). It keeps the planner's limits an
 the planner kept, where that was less than its margin), and is back on the path at the end. Each
 of two measures has a motion of its own:
 
-- position: distance of the tip from its path, wherever along it, as the judge measures it. Speed
-  and orientation are free meanwhile, so no other measure asks less of the computed motion.
-- pose: the orientation counts as well, metres and radians alike, as the planner weighs them.
+- pose: √(‖Δp‖² + (1 m · 2 sin ½θ)²) to the nearest pose of the path. Six axes are commanded, and
+  metres and radians weigh alike, as in the planner. Speed along the path is free: the planner's
+  gives way first, too. This is what the planner is compared with.
+- position: ‖Δp‖ alone, as the judge measures it, while the hand may turn as it likes. Nothing asks
+  less of the computed motion, but it is not the task that was commanded.
 
 What is computed is a motion that can be made, not a proof that none is better. An optimiser finds
 the best near its starts, so it begins with several: the planner's own motion, an arm that stands,
@@ -46,7 +48,7 @@ Array = npt.NDArray[np.float64]
 # [s].
 SECONDS = 8.0
 # What a radian counts beside a metre [m].
-LEVERS = {'position': 0.0, 'pose': 1.0}
+LEVERS = {'pose': 1.0, 'position': 0.0}
 # A tip this near to its path is on it, and no deviation counts as less in a ratio [m].
 _ON_PATH = 1e-3
 # How far an arm leans aside as a start, about, and when [rad, s].
@@ -212,7 +214,8 @@ def summarise(comparisons: list[Comparison]) -> dict[str, Any]:
         'solved': len(solved),
         'count': len(comparisons),
         'scenes': [{
-            'seed': c.seed, 'planner': c.planner._asdict(), 'ratio': c.ratio,
+            'seed': c.seed, 'planner': c.planner._asdict(),
+            'ratio': None if c.computed is None else c.ratio,
             'computed': None if c.computed is None else c.computed._asdict(),
             'reasons': list(c.reasons)[:5]} for c in comparisons],
     }
@@ -251,18 +254,23 @@ def main(args: list[str] | None = None) -> None:
     parser.add_argument('--json', type=Path, metavar='FILE')
     options = parser.parse_args(args)
     seeds = range(options.seed, options.seed + options.count)
+    measures: dict[str, list[Comparison]] = {name: [] for name in LEVERS}
     with Pool(options.jobs) as pool:
-        scenes = list(track(pool.imap(_job, seeds), 'scenes', len(seeds),
-                            console=Console(stderr=True)))
-    measures = {name: [found for scene in scenes for found in scene if found.measure == name]
-                for name in LEVERS}
+        for scene in track(pool.imap(_job, seeds), 'scenes', len(seeds),
+                           console=Console(stderr=True)):
+            for found in scene:
+                measures[found.measure].append(found)
+            # A scene takes minutes: what is known so far outlives whatever stops the run.
+            if options.json is not None:
+                options.json.write_text(json.dumps(report(measures), indent=1) + '\n')
     for name, comparisons in measures.items():
         _print(Console(width=160), name, comparisons)
-    if options.json is not None:
-        position, *others = LEVERS
-        options.json.write_text(json.dumps(
-            summarise(measures[position])
-            | {name: summarise(measures[name]) for name in others}, indent=1) + '\n')
+
+
+def report(measures: dict[str, list[Comparison]]) -> dict[str, Any]:
+    """Return the JSON: the first measure's figures, and those of the others by name."""
+    first, *others = measures
+    return summarise(measures[first]) | {name: summarise(measures[name]) for name in others}
 
 
 if __name__ == '__main__':

@@ -116,3 +116,4 @@ def test_medians_leave_out_what_has_no_computed_motion():
     assert result['computed_median'] == 0.1 and result['planner_median'] == 0.2
     assert result['ratio_median'] == pytest.approx(2.0)
     assert [scene['ratio'] for scene in result['scenes'][:3]] == pytest.approx([2.0, 3.0, 1.0])
+    assert result['scenes'][3]['ratio'] is None
