@@ -20,7 +20,7 @@ from benchmark.peers import missing
 from benchmark.targets import DT, judged, planned, Problem, Ride, servoed
 
 ROBOT, PARAMETERS = make_panda(), PlannerParameters()
-GOAL = PANDA_READY + np.array([0.15, 0.1, 0.0, -0.1, 0.0, 0.1, 0.0])
+GOAL = PANDA_READY + np.array([0.5, 0.1, 0.0, -0.1, 0.0, 0.1, 0.0])
 TIP = ROBOT.kinematics(GOAL).tip_position
 FAR = Obstacle('far', np.array([-0.6, 0.0, 0.2]), np.full(3, 0.05))
 MINK = pytest.mark.skipif(bool(missing('mink')), reason=missing('mink'))
@@ -46,14 +46,14 @@ def test_a_goal_in_the_open_is_reached_and_one_inside_something_is_not(method):
 
 @MINK
 def test_another_library_sees_what_moves_where_it_is():
-    """A ball that comes to rest nowhere passes where the tip stands, and the arm gives way."""
-    velocity = np.array([0.0, 0.3, 0.0])
-    ball = Obstacle('ball', TIP - 1.5 * velocity, np.full(3, 0.05), velocity=velocity)
-    problem = Problem(GOAL, GOAL, (FAR,), (ball,))
+    """A ball that lies at the goal, and goes away: where it was at first nothing is left."""
+    size = np.full(3, 0.06)
+    ball = Obstacle('ball', TIP, size, velocity=np.array([0.0, 0.3, 0.1]))
+    problem = Problem(PANDA_READY, GOAL, (FAR,), (ball,))
     ride = servoed(ROBOT, problem, 'mink')
-    # Until it is past, the run goes on although the goal was reached at once.
+    assert ride.state is TargetState.REACHED
+    # The run goes on until the ball is past.
     assert len(ride.velocities) * DT >= 3.0
-    assert np.abs(ride.postures - GOAL).max() > 0.02
 
 
 def test_a_ride_is_judged_by_what_it_did():
