@@ -84,7 +84,7 @@ class Optimum:
     def _problem(self) -> tuple[ca.Function, tuple[Array, Array]]:
         robot, n = self._robot, self._robot.n
         q = ca.SX.sym('q', n)
-        tip, ends = _forward(robot, q)
+        tip, ends = forward(robot, q)
         pose = ca.SX.sym('pose', 12)
         wanted = ca.reshape(pose[3:], 3, 3)
         turned = ca.mtimes(wanted, tip[:3, :3].T)
@@ -152,7 +152,7 @@ class Optimum:
         return np.array(path)
 
 
-def _forward(robot: Robot, q: ca.SX) -> tuple[ca.SX, list[tuple[ca.SX, ca.SX]]]:
+def forward(robot: Robot, q: ca.SX) -> tuple[ca.SX, list[tuple[ca.SX, ca.SX]]]:
     """Return the tip's transform (4, 4) and both ends of every capsule, in the base frame."""
     model = robot.model
     placements = [ca.SX(np.eye(4))]

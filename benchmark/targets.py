@@ -4,6 +4,9 @@ Start and goal are postures that are free at the margin; the obstacles lie anywh
 --path straight the tip goes along a line, and many goals are behind something. What counts is that
 nothing is touched, that no limit is exceeded, how many goals are reached, and how long a motion
 takes over the least time that the joints' limits leave for the same joint path.
+
+Other libraries find no way of their own. They servo to the pose, by a twist in proportion to what
+is left, as in `benchmark.problem_sets`, and are judged alike.
 """
 
 from __future__ import annotations
@@ -24,6 +27,9 @@ from rich.table import Table
 from benchmark.bodies import capsules_of
 from benchmark.closest_approach import Motion
 from benchmark.judge import limit_violation
+from benchmark.peers import library, missing, PEERS
+from benchmark.problem_sets.problem import Problem as StaticProblem, tip_pose
+from benchmark.problem_sets.servo import servo_twist
 from benchmark.scenarios import make_robot
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
@@ -34,19 +40,22 @@ from redundant_planner.core.parameters import METHODS, PlannerParameters, TARGET
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.cone import Cone, cone_room
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.core.target.progress import TargetState
+from redundant_planner.core.robot.se3 import integrate, pose_error
+from redundant_planner.core.target.progress import REACHED, TargetState
 
 Array = npt.NDArray[np.float64]
 
 DT = 0.004
 _LONGEST = 15.0  # [s]
-# A run ends when the arm has been held up for so long [s].
+# A run ends when the arm has been held up for so long [s]. A library that says nothing is held up
+# while no joint moves faster than this [rad/s].
 _HELD_UP, _PATIENCE = (TargetState.BLOCKED, TargetState.OUT_OF_REACH), 5.0
+_STANDING = 1e-3
 # Start and goal keep this from obstacles and between links [m], and from joint limits [rad].
 _CLEAR, _LIMIT_DISTANCE = 0.03, 0.1
 _LOWEST = 0.1  # the tip [m]
 _OBSTACLES, _SIZES, _REACH = 4, (0.03, 0.1), 0.8  # count, half extents [m], from the base [m]
+_METHODS = [name for name in METHODS if name != 'gradient_projection']
 _ENDS = (TargetState.REACHED, TargetState.BLOCKED, TargetState.OUT_OF_REACH)
 _STEPS_INTO_CONE = 20
 # A ball that crosses: speed [m/s], radius [m], and when it does [s].
@@ -80,6 +89,8 @@ class Outcome(NamedTuple):
         thought: how long the arm thought [s].
         seconds: until the target was reached, besides [s].
         fastest: the least that the joints' limits leave for the same joint path [s].
+        path: length of the joint path [rad].
+        path_ratio: over the shortest one near it; NaN if nobody looked, or nothing was found.
     """
 
     seed: int
@@ -92,6 +103,8 @@ class Outcome(NamedTuple):
     thought: float
     seconds: float
     fastest: float
+    path: float
+    path_ratio: float = float('nan')
 
 
 def problem_of(robot: Robot, seed: int, cone: Cone | None = None) -> Problem:
@@ -149,12 +162,6 @@ def crossing(robot: Robot, problem: Problem, seed: int) -> Problem:
             return problem._replace(moving=(ball,))
 
 
-def _after(obstacle: Obstacle, seconds: float) -> Obstacle:
-    """Return a ball after a time [s]."""
-    return Obstacle(obstacle.name, obstacle.center + seconds * obstacle.velocity,
-                    obstacle.half_extents, velocity=obstacle.velocity)
-
-
 def _upright(robot: Robot, q: Array, cone: Cone) -> Array:
     """Return a posture (n,) near another one with the tip in its cone, as far as it goes."""
     for _ in range(_STEPS_INTO_CONE):
@@ -166,17 +173,31 @@ def _upright(robot: Robot, q: Array, cone: Cone) -> Array:
     return q
 
 
-def run(robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int) -> Outcome:
-    """Go to the goal's tip pose until it is reached, or until the arm is stuck."""
+class Ride(NamedTuple):
+    """A motion to a goal.
+
+    Attributes:
+        postures: (k + 1, n) [rad, m].
+        velocities: (k, n) between them [rad/s, m/s].
+        state: at its end.
+        thought: how long the arm thought [s].
+    """
+
+    postures: Array
+    velocities: Array
+    state: TargetState
+    thought: float = 0.0
+
+
+def planned(robot: Robot, problem: Problem, parameters: PlannerParameters) -> Ride:
+    """Let the planner go to the goal's tip pose until it is reached, or until the arm is stuck."""
     planner, scene = Planner(robot, parameters), Scene.of(problem.obstacles)
-    last = max((_PASSES * 2.0 for _ in problem.moving), default=0.0)
-    arm = robot.kinematics(problem.goal)
-    target = Pose(arm.tip_position, arm.tip_rotation)
+    target = tip_pose(robot, problem.goal)
     q, positions, velocities = problem.start, [problem.start], []
     still, held_up, thought = np.zeros(6), 0.0, 0.0
     for tick in range(round(_LONGEST / DT)):
         if problem.moving:
-            scene = Scene.of([*problem.obstacles, *(_after(o, tick * DT) for o in problem.moving)])
+            scene = Scene.of(_obstacles_at(problem, tick * DT))
         result = planner.step(q, still, scene, DT, target=target)
         q = q + DT * result.dq
         positions.append(q)
@@ -184,20 +205,68 @@ def run(robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int
         assert result.progress is not None
         state = result.progress.state
         held_up = held_up + DT if state in _HELD_UP else 0.0
-        if (state is TargetState.REACHED or held_up > _PATIENCE) and tick * DT >= last:
+        if _is_over(problem, state, held_up, tick):
             break
         thought += DT * (state is TargetState.THINKING)
-    motion = Motion.through(capsules_of(robot), np.array(positions))
+    return Ride(np.array(positions), np.array(velocities), state, thought)
+
+
+def servoed(robot: Robot, problem: Problem, name: str) -> Ride:
+    """Let another library servo to the goal's tip pose, likewise.
+
+    Raises:
+        MissingPeerError: it is not installed.
+    """
+    p = PlannerParameters()
+    peer = library(name)(robot, _obstacles_at(problem, 0.0), p.clearance_margin,
+                         p.clearance_self_margin)
+    target = tip_pose(robot, problem.goal)
+    q, positions, velocities, held_up = problem.start, [problem.start], [], 0.0
+    for tick in range(round(_LONGEST / DT)):
+        if problem.moving:
+            peer.move(_obstacles_at(problem, tick * DT))
+        tip = tip_pose(robot, q)
+        wanted = integrate(tip, servo_twist(robot, tip, target), DT, robot.in_tool)
+        dq = peer.step(q, wanted, DT)
+        q = q + DT * dq
+        positions.append(q)
+        velocities.append(dq)
+        off = pose_error(target, tip_pose(robot, q), robot.in_tool)
+        there = max(np.linalg.norm(off[:3]), np.linalg.norm(off[3:])) < REACHED
+        state = TargetState.REACHED if there else TargetState.BLOCKED
+        held_up = held_up + DT if np.abs(dq).max() < _STANDING else 0.0
+        if _is_over(problem, state, held_up, tick):
+            break
+    return Ride(np.array(positions), np.array(velocities), state)
+
+
+def _is_over(problem: Problem, state: TargetState, held_up: float, tick: int) -> bool:
+    """Return whether a run has ended, and what moves is past."""
+    past = not problem.moving or tick * DT >= 2.0 * _PASSES
+    return past and (state is TargetState.REACHED or held_up > _PATIENCE)
+
+
+def _obstacles_at(problem: Problem, seconds: float) -> tuple[Obstacle, ...]:
+    return (*problem.obstacles, *(o.after(seconds) for o in problem.moving))
+
+
+def judged(
+    robot: Robot, problem: Problem, parameters: PlannerParameters, seed: int, ride: Ride,
+) -> Outcome:
+    """Return what a motion came to."""
+    postures, target = ride.postures, tip_pose(robot, problem.goal)
+    motion = Motion.through(capsules_of(robot), postures)
     clearance = min(motion.to_obstacles((*problem.obstacles, *problem.moving), DT).distance,
                     motion.to_itself().distance)
-    progress = result.progress
+    off = pose_error(target, tip_pose(robot, postures[-1]), robot.in_tool)
     return Outcome(
-        seed, progress.state.value, progress.distance, progress.angle, clearance,
-        limit_violation(robot, np.array(positions), np.array(velocities), DT),
+        seed, ride.state.value, float(np.linalg.norm(off[:3])), float(np.linalg.norm(off[3:])),
+        clearance, limit_violation(robot, postures, ride.velocities, DT),
         max(float(np.arccos(min(-robot.kinematics(q).tip_rotation[2, 2], 1.0)))
-            for q in positions),
-        thought, DT * len(velocities) - thought,
-        fastest_time(robot, np.array(positions), parameters))
+            for q in postures),
+        ride.thought, DT * len(ride.velocities) - ride.thought,
+        fastest_time(robot, postures, parameters),
+        float(np.linalg.norm(np.diff(postures, axis=0), axis=1).sum()))
 
 
 def fastest_time(
@@ -237,45 +306,96 @@ def fastest_time(
     return float((2.0 * ds / (speed[1:] + speed[:-1])).sum()) + jerk
 
 
-def _job(job: tuple[int, str, str, float, bool]) -> Outcome:
-    seed, method, path, cone, moving = job
-    robot = make_robot('panda', 6)
-    parameters = PlannerParameters(
-        method=method, target_path=path, cone_angle=cone, cone_direction=(0.0, 0.0, -1.0))
+class _Job(NamedTuple):
+    """A run: which problem, by what, and what to look at."""
+
+    seed: int
+    method: str
+    path: str
+    cone: float
+    moving: bool
+    optimum: bool
+
+
+def _job(job: _Job) -> Outcome:
+    robot, seed, cone = make_robot('panda', 6), job.seed, job.cone
     down = Cone(np.array((0.0, 0.0, 1.0)), np.array((0.0, 0.0, -1.0)), cone)
     problem = problem_of(robot, seed, down if cone < np.pi else None)
-    return run(robot, crossing(robot, problem, seed) if moving else problem, parameters, seed)
+    if job.moving:
+        problem = crossing(robot, problem, seed)
+    parameters = PlannerParameters()
+    if job.method in PEERS:
+        ride = servoed(robot, problem, job.method)
+    else:
+        parameters = PlannerParameters(method=job.method, target_path=job.path, cone_angle=cone,
+                                       cone_direction=(0.0, 0.0, -1.0))
+        ride = planned(robot, problem, parameters)
+    outcome = judged(robot, problem, parameters, seed, ride)
+    if not job.optimum or ride.state is not TargetState.REACHED:
+        return outcome
+    from benchmark.problem_sets.shortest import path_ratio
+    alone = StaticProblem(str(seed), 'targets', problem.obstacles, problem.start, problem.goal)
+    return outcome._replace(path_ratio=path_ratio(
+        robot, alone, ride.postures, parameters.clearance_margin))
 
 
-def main() -> None:
-    """Run and print."""
-    parser = argparse.ArgumentParser(prog='benchmark.targets', description=__doc__)
+def _options(args: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog='benchmark.targets', description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--count', type=int, default=200)
     parser.add_argument('--seed', type=int, default=0, help='first seed')
+    parser.add_argument('--method', action='append', choices=[*_METHODS, *PEERS],
+                        help="may be given more than once; this package's if not given; the "
+                        "others' libraries have to be installed")
     parser.add_argument('--path', choices=TARGET_PATHS, default=TARGET_PATHS[0])
     parser.add_argument('--cone', type=float, default=180.0, metavar='DEG',
                         help='how far the hand may lean from straight down')
     parser.add_argument('--moving', action='store_true',
                         help='a ball crosses the way while the arm is on it')
+    parser.add_argument('--optimum', action='store_true',
+                        help='compare every way with the shortest one near it (CasADi)')
     parser.add_argument('--jobs', type=int, default=2, help='processes')
     parser.add_argument('--json', type=Path, help='file for every outcome')
-    options = parser.parse_args()
-    methods = [name for name in METHODS if name != 'gradient_projection']
-    console, outcomes = Console(), {}
+    options = parser.parse_args(args)
+    if options.optimum and options.moving:
+        parser.error('--optimum knows obstacles that stand still, not --moving')
+    for name in options.method or ():
+        lack = missing(name) if name in PEERS else ''
+        if lack:
+            parser.error(lack)
+    return options
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run and print."""
+    options, outcomes = _options(args), {}
+    console = Console(width=200)
     with Pool(options.jobs) as pool:
-        for method in methods:
-            jobs = [(options.seed + i, method, options.path, float(np.radians(options.cone)),
-                     options.moving)
+        for method in options.method or _METHODS:
+            jobs = [_Job(options.seed + i, method, options.path, float(np.radians(options.cone)),
+                         options.moving, options.optimum)
                     for i in range(options.count)]
             outcomes[method] = list(track(
                 pool.imap(_job, jobs), method, len(jobs), console=Console(stderr=True)))
-    table = Table(title=f'{options.count} poses from seed {options.seed}, {options.path}')
+    title = f'{options.count} poses from seed {options.seed}, {options.path}'
+    console.print(_table(title, outcomes))
+    if options.json is not None:
+        options.json.write_text(json.dumps(
+            {method: [o._asdict() for o in found] for method, found in outcomes.items()}))
+
+
+def _table(title: str, outcomes: dict[str, list[Outcome]]) -> Table:
+    """Return one row per method; times, paths and distances are of what was reached."""
+    table = Table(title=title)
     for heading in ('method', 'reached', 'blocked', 'out of reach', 'contacts', 'violations',
-                    'off [mm]', 'off [deg]', 'leans [deg]', 'thought [s]', 'time', '90 %'):
+                    'off [mm]', 'off [deg]', 'leans [deg]', 'thought [s]', 'time', '90 %',
+                    'path [rad]', 'path ratio', '90 %'):
         table.add_column(heading)
     for method, found in outcomes.items():
         reached = [o for o in found if o.state == TargetState.REACHED.value]
         ratios = [o.seconds / o.fastest for o in reached] or [np.nan]
+        paths = [o.path_ratio for o in reached if np.isfinite(o.path_ratio)] or [np.nan]
         table.add_row(
             method, *(str(Counter(o.state for o in found)[state.value]) for state in _ENDS),
             str(sum(o.clearance < 0.0 for o in found)),
@@ -283,12 +403,11 @@ def main() -> None:
             f'{1e3 * max((o.distance for o in reached), default=np.nan):.2f}',
             f'{np.degrees(max((o.angle for o in reached), default=np.nan)):.3f}',
             f'{np.degrees(max(o.lean for o in found)):.2f}',
-            f'{np.median([o.thought for o in reached]):.2f}', f'{np.median(ratios):.3f}',
-            f'{np.percentile(ratios, 90):.3f}')
-    console.print(table)
-    if options.json is not None:
-        options.json.write_text(json.dumps(
-            {method: [o._asdict() for o in found] for method, found in outcomes.items()}))
+            f'{np.median([o.thought for o in reached] or [np.nan]):.2f}',
+            f'{np.median(ratios):.3f}', f'{np.percentile(ratios, 90):.3f}',
+            f'{np.median([o.path for o in reached] or [np.nan]):.2f}',
+            f'{np.median(paths):.3f}', f'{np.percentile(paths, 90):.3f}')
+    return table
 
 
 if __name__ == '__main__':

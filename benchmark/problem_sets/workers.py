@@ -106,7 +106,6 @@ class Worker:
         return replace(result, free_way=known or free_way_exists(*around),
                        line_blocked=line_blocked(*around))
 
-
     def _outcome(self, name: str, problem: Problem) -> Outcome:
         """Run a method, judge it, and compare its way with the shortest."""
         task = self.task
@@ -117,7 +116,8 @@ class Worker:
         if not (task.optimum and run.reached):
             return outcome
         from benchmark.problem_sets.shortest import path_ratio
-        return replace(outcome, path_ratio=path_ratio(self.robot, problem, run, task.margin))
+        return replace(outcome, path_ratio=path_ratio(
+            self.robot, problem, run.postures, task.margin))
 
 
 def _step(robot: Robot, name: str, problem: Problem, task: Task) -> Step:
