@@ -35,7 +35,7 @@ _UNIT = 0.1
 # deviate by well below 1 mm more.
 _EFFORT = 1e-4
 _TOLERANCE = 1e-4
-_ITERATIONS = 150
+_ITERATIONS = 250
 # How near to each other a link and an obstacle have to come in a start to be looked at [m].
 _NEAR = 0.35
 # Motions this near in what is minimised are the same: 1 % in the deviation.

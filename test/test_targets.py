@@ -20,7 +20,7 @@ from benchmark.peers import missing
 from benchmark.targets import DT, judged, planned, Problem, Ride, servoed
 
 ROBOT, PARAMETERS = make_panda(), PlannerParameters()
-GOAL = PANDA_READY + np.array([0.5, 0.1, 0.0, -0.1, 0.0, 0.1, 0.0])
+GOAL = PANDA_READY + np.array([0.9, 0.1, 0.0, -0.1, 0.0, 0.1, 0.0])
 TIP = ROBOT.kinematics(GOAL).tip_position
 FAR = Obstacle('far', np.array([-0.6, 0.0, 0.2]), np.full(3, 0.05))
 MINK = pytest.mark.skipif(bool(missing('mink')), reason=missing('mink'))
@@ -28,7 +28,7 @@ MINK = pytest.mark.skipif(bool(missing('mink')), reason=missing('mink'))
 
 @pytest.mark.parametrize('method', ['planner', pytest.param('mink', marks=MINK)])
 def test_a_goal_in_the_open_is_reached_and_one_inside_something_is_not(method):
-    at_it = Obstacle('at it', TIP, np.full(3, 0.06))
+    at_it = Obstacle('at it', TIP, np.full(3, 0.05))
     for obstacle, reached in ((FAR, True), (at_it, False)):
         problem = Problem(PANDA_READY, GOAL, (obstacle,))
         ride = (planned(ROBOT, problem, PARAMETERS) if method == 'planner' else
