@@ -257,16 +257,13 @@ def parser_of(description: str | None) -> argparse.ArgumentParser:
 
 
 def print_table(title: str, result: dict[str, dict[str, Any]]) -> None:
-    """Print one row per method, one column per number."""
-    table = Table(title=title)
-    table.add_column('method')
+    """Print one row per number, one column per method."""
+    table = Table('', *result, title=title)
     keys = [key for key, value in next(iter(result.values())).items()
             if value is None or isinstance(value, (int, float))]
     for key in keys:
-        table.add_column(key.replace('_', ' '), justify='right')
-    for name, entry in result.items():
-        table.add_row(name, *(
-            '' if entry[key] is None else f'{entry[key]:.4g}' for key in keys))
+        table.add_row(key.replace('_', ' '), *(
+            '' if entry[key] is None else f'{entry[key]:.4g}' for entry in result.values()))
     Console(width=220).print(table)
 
 

@@ -12,16 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
+from redundant_planner.core.horizon.held_twist import continued, growth_of
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.least_norm_path import path_joints
 from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
-from redundant_planner.core.horizon.preview import (
-    continued,
-    growth_of,
-    Preview,
-    PreviewAhead,
-    TwistAhead,
-)
+from redundant_planner.core.horizon.preview import Preview, PreviewAhead, TwistAhead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy.reference import Caps, reference_of, Start

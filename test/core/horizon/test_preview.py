@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.horizon.preview import continued, Preview
+from redundant_planner.core.horizon.held_twist import continued
+from redundant_planner.core.horizon.preview import Preview
 
 
 def test_a_preview_is_linear_between_its_points_steps_at_equal_times_and_ends():
