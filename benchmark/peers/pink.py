@@ -1,4 +1,4 @@
-"""pink, driven tick by tick: it limits no accelerations, which is in its favour."""
+"""pink, driven tick by tick: its acceleration limit is off, as it is by default."""
 
 from __future__ import annotations
 
