@@ -314,6 +314,7 @@ class Planner:
             if self._back.note(last.reference or tip, tip, followed, dt, leaving=leaving,
                                lost=bool(self._way.lacks)):
                 reached = None
+        self._look_ahead.note(result.scale, dt)
         sent = self._mean.take(result.dq)
         self._observer.commanded(sent, dt)
         self._last = _LastTick(

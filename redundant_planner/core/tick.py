@@ -284,10 +284,11 @@ def wish(
         len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 4, len(dq))
     found = barriers_in_compiled(room, len(room.gradient))
     at = rows.obstacle_rows(
-        found, 0, near, obstacles, gains.clearance_lead,
+        found, 0, near, obstacles, links, start, gains.clearance_lead,
         rows.strayed_distances(world.strayed, constants))
     at = rows.turn_rows(found, at, turn, limits.velocity_max)
     at = rows.link_rows(found, at, own, constants)
+    rows.ease_slight_intrusions(found, at, obstacles, parts, scaling, gains.clearance_gain)
     at = rows.cone_rows(found, at, start, constants.cone)
     at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
     if not intruded:

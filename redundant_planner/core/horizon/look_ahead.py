@@ -26,7 +26,8 @@ from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
 
-# Time over which the trend of a held command is averaged [s].
+# Time over which the trend of a held command, and the share of it that is followed, are averaged
+# [s].
 _TREND = 0.1
 # The joint path ahead is improved at most this often [s]: it takes a sixth of a millisecond.
 _PLANNING_PERIOD = 0.003
@@ -42,8 +43,9 @@ _SWITCH_TIME, _RETURN_TIME, _STANDBY = 0.1, 1.0, 1e-3
 # How long it stays with the path once the way is free without it: a way that is blocked in every
 # other tick must not make it switch as often [s].
 _STAY = 0.3
-# Time over which the velocity of the path is averaged [s].
-_SMOOTHING_TIME = 0.04
+# Time over which the velocity of the path is averaged [s]; longer where it leads nowhere, and is
+# another one at each look.
+_SMOOTHING_TIME, _SMOOTHING_TIME_BLOCKED = 0.04, 0.3
 
 
 class LookAhead:
@@ -80,6 +82,7 @@ class LookAhead:
         self._command: Array = np.zeros(6)
         self._growth = 0.0
         self._stay = 0.0
+        self._scale = 1.0
 
     @property
     def cut_short(self) -> bool:
@@ -154,18 +157,28 @@ class LookAhead:
         self._wanted = horizon.advance(start.arm.q, poses, obstacles, elapsed)
 
     def _smoothed(self, dt: float) -> Array | None:
-        """Return the path's velocity (n,), smoothed: another path may take another direction."""
+        """Return the path's velocity (n,), smoothed: another path may take another direction.
+
+        What is planned belongs to a tip at full speed. Where it leads nowhere, and the tip slows
+        down in front of that, the joints slow down with it.
+        """
         if self._wanted is None:
             self._velocity = None
             return None
-        before = self._velocity
+        before, wanted, memory = self._velocity, self._wanted, _SMOOTHING_TIME
+        if self._horizon is not None and not self._horizon.free:
+            wanted, memory = self._scale * wanted, _SMOOTHING_TIME_BLOCKED
         if before is None:
             # A new path's first steps are far from its solution: it begins with nothing.
-            before = self._wanted if self._prepared else np.zeros_like(self._wanted)
+            before = wanted if self._prepared else np.zeros_like(wanted)
             self._prepared = False
-        share = 1.0 - math.exp(-dt / _SMOOTHING_TIME)
-        self._velocity = before + share * (self._wanted - before)
+        share = 1.0 - math.exp(-dt / memory)
+        self._velocity = before + share * (wanted - before)
         return self._velocity
+
+    def note(self, scale: float, dt: float) -> None:
+        """Note which share of the commanded speed the last tick followed."""
+        self._scale += (1.0 - math.exp(-dt / _TREND)) * (scale - self._scale)
 
     def switch(self, blocked: bool, dt: float, *, at_once: bool = False) -> None:
         """Follow the path gradually while the arm's own motion is blocked, and back afterwards.

@@ -21,6 +21,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.shapes import along, direction_along, ELLIPSOID
 from redundant_planner.core.robot.jacobian import joint_shares
 from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.robot.link_motions import acceleration_of, LinkMotions
 from redundant_planner.core.robot.se3 import Place, place
 
 Array = npt.NDArray[np.float64]
@@ -125,6 +126,24 @@ def clearance_gradient(
     x, y, z, u, v, w = obstacles.twists[:, obstacle]
     return -(slope.x * (x + v * c - w * b) + slope.y * (y + w * a - u * c)
              + slope.z * (z + u * b - v * a))
+
+
+@kernel
+def bending(
+    obstacles: InflatedObstacles, link: int, obstacle: int, t: float, links: Links,
+    motions: LinkMotions,
+) -> float:
+    """Return ∇ₓρ · ẍ of a pair while the joints keep their velocities [1/s²].
+
+    Args:
+        obstacles, link, obstacle, t, links: as for `clearance_gradient`.
+        motions: of the links.
+    """
+    start, end = place(links.start, link), place(links.end, link)
+    slope = slope_at(obstacles, link, obstacle, start, end, t, 0.0)
+    change = acceleration_of(motions, link, along(
+        start, Place(end.x - start.x, end.y - start.y, end.z - start.z), t))
+    return slope.x * change.x + slope.y * change.y + slope.z * change.z
 
 
 @compiled

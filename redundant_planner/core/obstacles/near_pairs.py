@@ -44,6 +44,7 @@ class NearPairs(NamedTuple):
 
     Attributes:
         links, obstacles: (p,) indices.
+        parameter: (p,) where on the links, 0 at a segment's start, 1 at its end.
         normalized_distance: (p,) ρ.
         distance: (p,) not more than the true distance [m].
         gradient: (p, n) ∂ρ/∂q.
@@ -56,6 +57,7 @@ class NearPairs(NamedTuple):
 
     links: Indices
     obstacles: Indices
+    parameter: Vector
     normalized_distance: Vector
     distance: Vector
     gradient: Matrix
@@ -217,8 +219,8 @@ def near_pairs(
     if link_at >= 0:
         near = pairs.normalized_distance[link_at, obstacle_at]
         least = pairs.distance[link_at, obstacle_at]
-    return NearPairs(links, chosen, rho, distance, gradient, rates, acting[:acts], unseen,
-                     link_at, obstacle_at, near, least)
+    return NearPairs(links, chosen, found.parameter[:kept], rho, distance, gradient, rates,
+                     acting[:acts], unseen, link_at, obstacle_at, near, least)
 
 
 @kernel

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import RobotConstants
 from redundant_planner.core.kernels import compiled, IndexPairs, Indices, kernel, Matrix, Vector
+from redundant_planner.core.obstacles.clearance_gradients import bending
 from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import NearPairs
@@ -23,7 +24,8 @@ from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.cone import Cone, leaning
 from redundant_planner.core.robot.jacobian import derivative_between, jdot_qdot
-from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.kinematics import Kinematics, Links
+from redundant_planner.core.robot.link_motions import link_motions
 from redundant_planner.core.safety.limits import (
     barrier_rate,
     Limits,
@@ -44,6 +46,9 @@ _SINGULARITY_NEAR = 5.0
 # Share of the cone's angle that is kept free, and of the rest that counts. What has drifted out by
 # no more than this comes back; beyond twice that it counts as found outside [rad].
 _SPARE_IN_CONE, _CAUTION_IN_CONE, _DRIFT = 0.03, 0.4, 0.01
+# What is this little inside its margin is led out by no more null-space motion than that, so that
+# an arm that slides along something does not start to shake [m], [rad/s, m/s].
+_SLIGHT, _SLOWLY_OUT = 2e-5, 1e-3
 # Links that have strayed less than this count as in place: the rest of the noise [m].
 _IN_PLACE = 5e-4
 # How exactly a turn is made, as a share of a joint's speed limit.
@@ -186,25 +191,33 @@ def strayed_distances(strayed: Vector, constants: RobotConstants) -> Vector:
 
 @kernel
 def obstacle_rows(
-    rows: Barriers, at: int, near: NearPairs, maps: InflatedObstacles, lead: float,
-    strayed: Vector,
+    rows: Barriers, at: int, near: NearPairs, maps: InflatedObstacles, links: Links, start: Start,
+    lead: float, strayed: Vector,
 ) -> int:
     """Write a row for every link and obstacle whose barrier could act; return the next row.
+
+    A link's point moves in an arc. Within the tick that adds ½ dt ∇ₓρ·ẍ to the rate, at the
+    velocities of the tick before: as much as `Task.turning` is to the tip.
 
     What may touch and is found doing so may stay there, and only not get deeper: a wall is a wish
     of the user's, and an allowed contact one too, not a thing that is to be left at once.
 
     Args:
         rows, at: where to, from which row on.
-        near, maps: the pairs, and the obstacles.
+        near, maps, links: the pairs, the obstacles and the links.
+        start: of the tick.
         lead: time over which the way of moving obstacles is kept as spare distance [s].
         strayed: (c,) how far each link may be from where it is thought to be [m]: that much
             clearance is not there to be used up.
     """
+    if len(near.acting) == 0:
+        return at
+    motions = link_motions(links, start.previous)
     for pair in near.acting:
         link, obstacle = near.links[pair], near.obstacles[pair]
-        rows.gradient[at] = near.gradient[pair]
-        rows.time_derivative[at], rows.value[at] = near.rate[pair], near.normalized_distance[pair]
+        rows.gradient[at], rows.value[at] = near.gradient[pair], near.normalized_distance[pair]
+        rows.time_derivative[at] = near.rate[pair] + 0.5 * start.dt * bending(
+            maps, link, obstacle, near.parameter[pair], links, motions)
         if maps.may_touch[link, obstacle]:
             rows.value[at] = max(rows.value[at], 0.0)
         elif rows.value[at] > 0.0:
@@ -238,6 +251,37 @@ def link_rows(rows: Barriers, at: int, own: NearLinks, constants: RobotConstants
         rows.first[at], rows.second[at] = constants.self_pairs[own.pairs[i]]
         at += 1
     return at
+
+
+@kernel
+def ease_slight_intrusions(
+    rows: Barriers, used: int, maps: InflatedObstacles, parts: Decomposition, scaling: Vector,
+    gain: float,
+) -> None:
+    """Let rows of things at rest that are slightly inside their margin ask for little.
+
+    Sliding along a round thing leaves a link inside its margin, by the curvature of a tick: some
+    0.1 µm. Out of it at once, −gain · h, may need null-space motion where hardly any leads out.
+    Such a row then asks for what `_SLOWLY_OUT` of null-space motion can do (docs/safety.md).
+
+    Args:
+        rows, used: those in use, of obstacles and links.
+        maps: the obstacles.
+        parts, scaling: of the tip's Jacobian in coordinates in which every joint costs the same.
+        gain: see `barrier_bounds` [1/s].
+    """
+    for row in range(used):
+        if rows.kind[row] == TURN or rows.value[row] >= 0.0:
+            continue
+        metres = 1.0
+        if rows.kind[row] == OBSTACLE:
+            if maps.speeds[rows.second[row]] > 0.0:
+                continue
+            metres = maps.smallest[rows.first[row], rows.second[row]]
+        leads_out = null_space.project(parts, scaling * rows.gradient[row])
+        little = _SLOWLY_OUT / gain * math.sqrt(np.sum(leads_out * leads_out))
+        rows.value[row] = max(
+            rows.value[row], min(-little, rows.value[row] + _SLIGHT / metres))
 
 
 @kernel

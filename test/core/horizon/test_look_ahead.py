@@ -11,7 +11,7 @@ import pytest
 
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.look_ahead import LookAhead
-from redundant_planner.core.horizon.path_qp import moved_on
+from redundant_planner.core.horizon.path_qp import Measures, moved_on, Plan
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -49,6 +49,21 @@ def test_an_arm_beside_its_plan_does_not_change_the_plans_velocity(planar):
 def look_ahead():
     planner = Planner(make_panda(), PlannerParameters())
     return planner._look_ahead
+
+
+@pytest.mark.parametrize('free, expected', [(True, 0.4), (False, 0.02)])
+def test_a_path_that_leads_nowhere_slows_down_with_the_tip(panda, free, expected):
+    """In front of an obstacle the tip follows a twentieth of its command."""
+    ahead = look_ahead()
+    horizon = ahead._horizons[0]
+    horizon._plan = Plan(
+        np.zeros((len(horizon.times) - 1, panda.n)), np.zeros(panda.n), horizon.times,
+        Measures(cost=0.0, error=0.0, intrusion=0.0 if free else 0.01, beyond=0.0))
+    ahead._horizon, ahead._wanted = horizon, np.full(panda.n, 0.4)
+    for _ in range(1000):
+        ahead.note(0.05, DT)
+        found = ahead._smoothed(DT)
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
 def test_a_way_that_is_blocked_in_every_other_tick_switches_once():

@@ -9,11 +9,14 @@ from hypothesis.extra.numpy import arrays
 import numpy as np
 import pytest
 
+from redundant_planner.core.kernels import compiled, Vector
 from redundant_planner.core.obstacles.clearance import link_clearance, pseudo_distance
-from redundant_planner.core.obstacles.clearance_gradients import clearance_gradients
-from redundant_planner.core.obstacles.inflation import inflated_obstacles
+from redundant_planner.core.obstacles.clearance_gradients import bending, clearance_gradients
+from redundant_planner.core.obstacles.inflation import inflated_obstacles, InflatedObstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.robot.link_motions import link_motions
 
 coordinates = st.floats(-2.0, 2.0)
 points = arrays(float, 3, elements=coordinates)
@@ -90,6 +93,31 @@ def test_gradients_match_finite_differences(robot):
         moved = (all_clearances(robot, q, ahead)[2].normalized_distance
                  - all_clearances(robot, q, behind)[2].normalized_distance) / (2 * step)
         np.testing.assert_allclose(rate, moved[links, which], rtol=1e-5, atol=1e-5)
+
+
+@compiled
+def bending_from_the_first(
+    obstacles: InflatedObstacles, link: int, t: float, links: Links, dq: Vector,
+) -> float:
+    """Return ∇ₓρ · ẍ of a link and the first obstacle."""
+    return bending(obstacles, link, 0, t, links, link_motions(links, dq))
+
+
+def test_over_a_flat_face_clearance_bends_as_the_links_way_does(robot):
+    floor = Obstacle.box('floor', (0.0, 0.0, -3.0), (20.0, 20.0, 2.0))
+    random, step = np.random.default_rng(8), 1e-4
+    for q in random_postures(robot, 20):
+        dq = random.uniform(-1.0, 1.0, robot.n)
+        arm, maps, pairs = all_clearances(robot, q, [floor])
+        before, after = (all_clearances(robot, q + way * step * dq, [floor])[2] for way in (-1, 1))
+        for link in range(len(robot.capsules)):
+            if before.parameter[link, 0] != after.parameter[link, 0]:
+                continue  # another point of the link gets nearest
+            rho = (x.normalized_distance[link, 0] for x in (before, pairs, after))
+            expected = np.diff(list(rho), 2)[0] / step ** 2
+            assert bending_from_the_first(
+                maps, link, float(pairs.parameter[link, 0]), robot.links(arm), dq,
+            ) == pytest.approx(expected, abs=1e-5)
 
 
 def test_the_centre_of_an_ellipsoid_gives_finite_numbers(planar):
