@@ -284,8 +284,9 @@ def wish(
         len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 4, len(dq))
     found = barriers_in_compiled(room, len(room.gradient))
     at = rows.obstacle_rows(
-        found, 0, near, obstacles, links, start, gains.clearance_lead,
+        found, 0, near, obstacles, gains.clearance_lead,
         rows.strayed_distances(world.strayed, constants))
+    rows.bend_obstacle_rows(found, near, obstacles, links, start)
     at = rows.turn_rows(found, at, turn, limits.velocity_max)
     at = rows.link_rows(found, at, own, constants)
     rows.ease_slight_intrusions(found, at, obstacles, parts, scaling, gains.clearance_gain)

@@ -191,33 +191,25 @@ def strayed_distances(strayed: Vector, constants: RobotConstants) -> Vector:
 
 @kernel
 def obstacle_rows(
-    rows: Barriers, at: int, near: NearPairs, maps: InflatedObstacles, links: Links, start: Start,
-    lead: float, strayed: Vector,
+    rows: Barriers, at: int, near: NearPairs, maps: InflatedObstacles, lead: float,
+    strayed: Vector,
 ) -> int:
     """Write a row for every link and obstacle whose barrier could act; return the next row.
-
-    A link's point moves in an arc. Within the tick that adds ½ dt ∇ₓρ·ẍ to the rate, at the
-    velocities of the tick before: as much as `Task.turning` is to the tip.
 
     What may touch and is found doing so may stay there, and only not get deeper: a wall is a wish
     of the user's, and an allowed contact one too, not a thing that is to be left at once.
 
     Args:
         rows, at: where to, from which row on.
-        near, maps, links: the pairs, the obstacles and the links.
-        start: of the tick.
+        near, maps: the pairs, and the obstacles.
         lead: time over which the way of moving obstacles is kept as spare distance [s].
         strayed: (c,) how far each link may be from where it is thought to be [m]: that much
             clearance is not there to be used up.
     """
-    if len(near.acting) == 0:
-        return at
-    motions = link_motions(links, start.previous)
     for pair in near.acting:
         link, obstacle = near.links[pair], near.obstacles[pair]
-        rows.gradient[at], rows.value[at] = near.gradient[pair], near.normalized_distance[pair]
-        rows.time_derivative[at] = near.rate[pair] + 0.5 * start.dt * bending(
-            maps, link, obstacle, near.parameter[pair], links, motions)
+        rows.gradient[at] = near.gradient[pair]
+        rows.time_derivative[at], rows.value[at] = near.rate[pair], near.normalized_distance[pair]
         if maps.may_touch[link, obstacle]:
             rows.value[at] = max(rows.value[at], 0.0)
         elif rows.value[at] > 0.0:
@@ -227,6 +219,29 @@ def obstacle_rows(
         rows.kind[at], rows.first[at], rows.second[at] = OBSTACLE, link, obstacle
         at += 1
     return at
+
+
+@kernel
+def bend_obstacle_rows(
+    rows: Barriers, near: NearPairs, maps: InflatedObstacles, links: Links, start: Start,
+) -> None:
+    """Add to the rows of obstacles, which come first, that a link's point moves in an arc.
+
+    Within the tick that is ½ dt ∇ₓρ·ẍ more of the rate, at the velocities of the tick before: to a
+    link what `Task.turning` is to the tip.
+
+    Args:
+        rows: as `obstacle_rows` has written them.
+        near, maps, links: the pairs, the obstacles and the links.
+        start: of the tick.
+    """
+    if len(near.acting) == 0:
+        return
+    motions = link_motions(links, start.previous)
+    for row in range(len(near.acting)):
+        pair = near.acting[row]
+        rows.time_derivative[row] += 0.5 * start.dt * bending(
+            maps, near.links[pair], near.obstacles[pair], near.parameter[pair], links, motions)
 
 
 @kernel
@@ -260,9 +275,9 @@ def ease_slight_intrusions(
 ) -> None:
     """Let rows of things at rest that are slightly inside their margin ask for little.
 
-    Sliding along a round thing leaves a link inside its margin, by the curvature of a tick: some
-    0.1 µm. Out of it at once, −gain · h, may need null-space motion where hardly any leads out.
-    Such a row then asks for what `_SLOWLY_OUT` of null-space motion can do (docs/safety.md).
+    Round-off leaves a link that slides some nanometres inside its margin. Out of it at once, by
+    −gain · h, may need null-space motion where hardly any leads out. Such a row then asks for what
+    `_SLOWLY_OUT` of null-space motion can do (docs/safety.md).
 
     Args:
         rows, used: those in use, of obstacles and links.
