@@ -29,7 +29,9 @@ def test_a_live_run_with_its_ticks_is_repeated_exactly(paper_runs, tmp_path, met
     bag = paper_runs[method]
     with open_bag(bag) as opened:
         inputs = read_inputs(opened, None, '', '')
-    assert inputs.notes == [] and len(inputs.ticks) > 500
+    # The arm's first state may stand alone, before the nodes have all found each other.
+    assert [end > begin for begin, end, *_ in inputs.parts].count(True) == 1
+    assert len(inputs.notes) == len(inputs.parts) - 1 <= 1 and len(inputs.ticks) > 500
     parameters = settings_of(PlannerParameters, inputs.values)
     assert parameters.method == method
     replay = again(inputs, parameters)
