@@ -46,8 +46,8 @@ _SINGULARITY_NEAR = 5.0
 # Share of the cone's angle that is kept free, and of the rest that counts. What has drifted out by
 # no more than this comes back; beyond twice that it counts as found outside [rad].
 _SPARE_IN_CONE, _CAUTION_IN_CONE, _DRIFT = 0.03, 0.4, 0.01
-# What is this little inside its margin is led out by no more null-space motion than that, so that
-# an arm that slides along something does not start to shake [m], [rad/s, m/s].
+# A link that is so little inside its margin leaves by no more null-space motion than that: an arm
+# that slides along something must not start to shake [m], [rad/s, m/s].
 _SLIGHT, _SLOWLY_OUT = 2e-5, 1e-3
 # Links that have strayed less than this count as in place: the rest of the noise [m].
 _IN_PLACE = 5e-4
@@ -227,8 +227,8 @@ def bend_obstacle_rows(
 ) -> None:
     """Add to the rows of obstacles, which come first, that a link's point moves in an arc.
 
-    Within the tick that is ½ dt ∇ₓρ·ẍ more of the rate, at the velocities of the tick before: to a
-    link what `Task.turning` is to the tip.
+    Within the tick the arc adds ½ dt ∇ₓρ·ẍ to the rate, at the velocities of the tick before.
+    `Task.turning` is the same for the tip.
 
     Args:
         rows: as `obstacle_rows` has written them.
