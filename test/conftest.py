@@ -11,7 +11,7 @@ import time
 from hypothesis import HealthCheck, settings
 import numpy as np
 import pytest
-from standstill import Standstill
+from standstill import Standstill, waited
 
 from redundant_planner.core.parameters import AXES
 from redundant_planner.core.robot.model import Robot
@@ -80,6 +80,9 @@ PASSED = pytest.StashKey[bool]()
 # A standstill of the machine that a live test may fail of: commands and states may be as far apart
 # as this before the arm stops by itself [s].
 _STANDSTILL = 0.09
+# Other work has the cores, disks or memory if somebody waits for such a share of a test's time.
+# Live tests alone on two cores wait for half of it.
+_WAITING = 0.1
 _MACHINE = pytest.StashKey[Standstill]()
 
 
@@ -104,12 +107,17 @@ def pytest_runtest_setup(item):
     """Watch the machine from the first live test on, for `live_helpers.LIVE`."""
     if item.get_closest_marker('flaky') is None:
         return
-    config, begin = item.config, time.time()
+    config, begin, waited_before = item.config, time.time(), waited()
     if _MACHINE not in config.stash:
         machine = config.stash[_MACHINE] = Standstill().__enter__()
         config.add_cleanup(lambda: machine.__exit__(None, None, None))
-    config.stood_still = (
-        lambda: config.stash[_MACHINE].longest(begin, time.time()) > _STANDSTILL)
+
+    def was_hindered() -> bool:
+        now = time.time()
+        return (config.stash[_MACHINE].longest(begin, now) > _STANDSTILL
+                or waited() - waited_before > _WAITING * (now - begin))
+
+    config.was_hindered = was_hindered
 
 
 @pytest.hookimpl(wrapper=True)

@@ -27,8 +27,9 @@ from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memor
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 keep_off_shared_memory()
 # A test of live processes that fails is tried again, twice at most, if the machine stood still
-# meanwhile, as conftest.py measures; the summary lists it. A failure of our own making counts.
-LIVE = pytest.mark.flaky(reruns=2, reruns_delay=1, condition='config.stood_still()')
+# meanwhile or was busy with other work, as conftest.py measures; the summary lists it. On a quiet
+# machine a failure counts at once.
+LIVE = pytest.mark.flaky(reruns=2, reruns_delay=1, condition='config.was_hindered()')
 # How long a test waits before it fails; a machine that does other things too may stand still
 # for a second at any moment, so what is true `at once` is waited for all the same.
 PATIENCE = 120.0

@@ -1,7 +1,9 @@
 """Watches for moments in which the machine itself stood still, so that a test can tell.
 
 A virtual machine may be stopped by its host, and a busy one lets a process wait for its turn. On
-each core a process of its own sleeps for a millisecond at a time and notes when it overslept.
+each core a process of its own sleeps for a millisecond at a time and notes when it overslept. A
+process that sleeps so much is served first, and does not see that busy ones wait; Linux counts
+their waiting.
 """
 
 from __future__ import annotations
@@ -17,6 +19,17 @@ from types import TracebackType
 _STEP = 1e-3
 # What a watcher writes down [s]; less than that is every system's daily life.
 _NOTABLE = 4e-3
+# How long, since the machine started, work has waited for a core, a disk or memory.
+_PRESSURE = [Path('/proc/pressure', resource) for resource in ('cpu', 'io', 'memory')]
+
+
+def waited() -> float:
+    """Return for how long, so far, some process of the machine had to wait [s].
+
+    Only differences mean something. It is 0.0 where Linux does not count (no `/proc/pressure`).
+    """
+    return max((1e-6 * int(resource.read_text().partition('total=')[2].split()[0])
+                for resource in _PRESSURE if resource.exists()), default=0.0)
 
 
 class Standstill:
