@@ -83,6 +83,51 @@ def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed
     assert least[nearest].max() <= np.delete(least, nearest).min() + 1e-9
 
 
+def plank_rod_or_pin(name, kind, random):
+    turned = random.normal(size=4)
+    place = {'orientation': turned / np.linalg.norm(turned), 'velocity': random.normal(size=3)}
+    center, short, long = random.uniform(-1.5, 1.5, 3), *random.uniform((0.01, 0.1), (0.1, 1.5))
+    if kind == 0:
+        return Obstacle.box(name, center, (long, short, random.uniform(short, long)), **place)
+    if kind == 1:
+        return Obstacle.cylinder(name, center, short, long, **place)
+    return Obstacle.capsule(name, center, short, long, **place)
+
+
+def chosen(scene, arm, reach, most, most_ahead):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(nearby, 'MOST_NEAR', most)
+        patch.setattr(nearby, 'MOST_AHEAD', most_ahead)
+        return surroundings(scene, KEPT, arm, reach, COURSE)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 10**6), st.integers(1, 40), st.integers(1, 40))
+def test_long_ones_are_chosen_as_if_each_were_alone(seed, most, most_ahead):
+    """A ball around a plank says little. Better bounds are sought only where they may decide."""
+    random = np.random.default_rng(seed)
+    count = 60
+    scene = Scene.of(plank_rod_or_pin(f'o{i}', i % 3, random) for i in range(count))
+    arm = PANDA.kinematics(random_postures(PANDA, 1, seed)[0])
+    reach = np.full(len(RADII), random.uniform(0.1, 1.0))
+    around = chosen(scene, arm, reach, most, most_ahead)
+    # Of one that is there twice, the second is left out for one: how deep it is in the reach.
+    depths = np.array([
+        (chosen(Scene.of([one, one]), arm, reach, 1, 1).range - reach)[0]
+        for one in scene.obstacles()])
+    depths -= nearby._EXTRA_RANGE
+    is_within = depths < -1e-9
+    if is_within.sum() > most:
+        assert around.near.tolist() == sorted(np.argsort(depths)[:most])
+        np.testing.assert_allclose(
+            around.range - reach - nearby._EXTRA_RANGE, np.sort(depths)[most - 1], atol=1e-12)
+    elif is_within.any():
+        assert around.near.tolist() == np.flatnonzero(is_within).tolist()
+    # With room for all of them each has its best bound.
+    assert around.nearest.tolist() == chosen(
+        scene, arm, reach, count, most_ahead).nearest.tolist()
+
+
 @pytest.mark.parametrize('speed', [0.0, 0.2])
 @pytest.mark.parametrize('make', [make_panda, make_paper_arm])
 def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch):
