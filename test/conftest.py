@@ -81,7 +81,7 @@ PASSED = pytest.StashKey[bool]()
 # as this before the arm stops by itself [s].
 _STANDSTILL = 0.09
 # Other work has the cores, disks or memory if somebody waits for such a share of a test's time.
-# Live tests alone on two cores wait for half of it.
+# Live tests alone on two cores mostly wait for half of it.
 _WAITING = 0.1
 _MACHINE = pytest.StashKey[Standstill]()
 

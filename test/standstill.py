@@ -8,6 +8,7 @@ their waiting.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 import subprocess
@@ -26,10 +27,15 @@ _PRESSURE = [Path('/proc/pressure', resource) for resource in ('cpu', 'io', 'mem
 def waited() -> float:
     """Return for how long, so far, some process of the machine had to wait [s].
 
-    Only differences mean something. It is 0.0 where Linux does not count (no `/proc/pressure`).
+    Only differences mean something. It is 0.0 where Linux does not count (no `/proc/pressure`, or
+    one that says so).
     """
-    return max((1e-6 * int(resource.read_text().partition('total=')[2].split()[0])
-                for resource in _PRESSURE if resource.exists()), default=0.0)
+    longest = 0.0
+    for resource in _PRESSURE:
+        with contextlib.suppress(OSError):
+            total = resource.read_text().partition('total=')[2].split()[0]
+            longest = max(longest, 1e-6 * int(total))
+    return longest
 
 
 class Standstill:
