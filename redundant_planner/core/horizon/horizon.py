@@ -32,7 +32,8 @@ class Horizon:
 
     It remembers the plan that the arm follows from tick to tick. Every other tick improves this
     plan. The others go to a search for other ways (`multi_start`). What a search finds settles
-    for a few steps; it replaces the plan if the plan is not free or clearly longer.
+    for a few steps; it replaces the plan if the plan is not free or clearly longer. No tick looks
+    at more than one plan, so that none takes long.
 
     Attributes:
         times: (N + 1,) of the nodes, from now [s].
@@ -76,6 +77,9 @@ class Horizon:
         self._plan: Plan | None = None
         self._found: Plan | None = None
         self._closest: Array | None = None
+        # The plan as it was when its poses got wrong, to be compared with a new one.
+        self._doubted: Plan | None = None
+        self._has_compared = False
         self._ticks, self._settled, self._troubled = 0, 0, 0
         self._search.reset()
 
@@ -104,10 +108,12 @@ class Horizon:
         return (self._plan.nodes[0] - q) / float(self.times[1])
 
     def _step(self, q: Array, poses: Poses, obstacles: InflatedObstacles) -> None:
-        """Give one step to the plan, to the search or to what it has found."""
+        """Give one step to the plan, to a new one, to the search or to what it has found."""
         self._ticks += 1
-        if self._plan is None or self._ticks % (4 if self._blocked else 2) == 0:
-            self._follow(q, poses, obstacles)
+        if self._plan is None or self._doubted is not None:
+            self._start_anew(q, poses, obstacles)
+        elif self._ticks % (4 if self._blocked else 2) == 0:
+            self._follow(self._plan, q, poses, obstacles)
         elif self._found is not None:
             self._settle(q, poses, obstacles)
         else:
@@ -121,27 +127,33 @@ class Horizon:
         """Whether the plan leads nowhere."""
         return self._troubled >= _LOOKS_UNTIL_BLOCKED
 
-    def _follow(self, q: Array, poses: Poses, obstacles: InflatedObstacles) -> None:
-        """Take one step with the plan; start anew where that is better than mending it."""
-        problem, plan = self._problem, None
-        if self._plan is not None:
-            plan, local = problem.look(q, self._plan.nodes, poses, obstacles)
-            self._troubled = 0 if plan.admissible else self._troubled + 1
-            self._closest = (local.gradients[int(local.bounds.argmax())]
-                             if local.bounds.size else None)
-            if plan.measures.error < _ERROR_TO_COMPARE:
-                self._plan = problem.improved(plan, local)
-                return
+    def _follow(self, plan: Plan, q: Array, poses: Poses, obstacles: InflatedObstacles) -> None:
+        """Take one step with the plan.
+
+        If its poses have got wrong, the next step looks whether a new one is better than mending
+        it; but not twice in a row, for the search has its turn, too.
+        """
+        plan, local = self._problem.look(q, plan.nodes, poses, obstacles)
+        self._troubled = 0 if plan.admissible else self._troubled + 1
+        self._closest = local.gradients[int(local.bounds.argmax())] if local.bounds.size else None
+        self._plan = self._problem.improved(plan, local)
+        if plan.measures.error >= _ERROR_TO_COMPARE and not self._has_compared:
+            self._doubted = plan
+        self._has_compared = False
+
+    def _start_anew(self, q: Array, poses: Poses, obstacles: InflatedObstacles) -> None:
+        """Take a step with a new plan, unless the one in doubt is as good."""
+        doubted, self._doubted = self._doubted, None
         nodes = least_norm_path(self._robot, q, poses, self._joints)
-        fresh, around = problem.look(q, nodes, poses, obstacles)
-        if (plan is not None and plan.measures.error < _ERROR_TO_REPLACE
-                and fresh.price >= _COST_SHARE_TO_SWITCH * plan.price):
-            self._plan = problem.improved(plan, local)
+        fresh, local = self._problem.look(q, nodes, poses, obstacles)
+        self._has_compared = True
+        if (self._plan is not None and doubted is not None
+                and doubted.measures.error < _ERROR_TO_REPLACE
+                and fresh.price >= _COST_SHARE_TO_SWITCH * doubted.price):
             return
         self._search.drop()
         self._found = None
-        # Having looked twice, it leaves the rest of the work to the next step.
-        self._plan = problem.improved(fresh, around) if plan is None else fresh
+        self._plan = self._problem.improved(fresh, local)
         self._troubled = 0
 
     def _settle(self, q: Array, poses: Poses, obstacles: InflatedObstacles) -> None:

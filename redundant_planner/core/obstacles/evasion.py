@@ -24,9 +24,11 @@ from redundant_planner.core.kernels import entry, kernel, Vector
 from redundant_planner.core.obstacles.clearance import (
     core_of,
     from_center,
+    in_axes,
     in_unit_ball,
     is_contact,
     link_pair,
+    segment_in_axes,
 )
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.self_collision import nearest_parameters
@@ -223,18 +225,35 @@ def _course_of_ellipsoid(
 
 
 @kernel
-def _course_of_ball(
+def _gap_on_course(half: float, start: float, way: float, course: float) -> float:
+    """Return how far a coordinate of a link keeps beyond a slab that moves, negative inside."""
+    low = start + min(way, 0.0) - max(course, 0.0)
+    high = start + max(way, 0.0) - min(course, 0.0)
+    return max(low, -high) - half
+
+
+@kernel
+def _least_on_course(
     obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place,
     horizon: float,
 ) -> float:
-    """Return a link's smallest distance from the ball around another shape on its course [m]."""
+    """Return a bound on a link's smallest distance from another shape on its course [m].
+
+    It is the larger one of two: of the ball around the shape; and of the box around it, axis by
+    axis, as if the course took every point of the link along.
+    """
     x, y, z = obstacles.twists[:3, obstacle] * horizon
     a, b, c = from_center(obstacles, obstacle, 0.0, start.x, start.y, start.z)
     core = core_of(obstacles, obstacle)
     corner = math.sqrt(core.x * core.x + core.y * core.y + core.z * core.z)
     apart = _segments_apart(
         Place(end.x - start.x, end.y - start.y, end.z - start.z), Place(x, y, z), Place(a, b, c))
-    return apart - corner - obstacles.inflation[link, obstacle]
+    begin, way = segment_in_axes(obstacles, obstacle, 0.0, start, end)
+    x, y, z = in_axes(obstacles, obstacle, x, y, z)
+    inside = max(_gap_on_course(core.x, begin.x, way.x, x),
+                 _gap_on_course(core.y, begin.y, way.y, y),
+                 _gap_on_course(core.z, begin.z, way.z, z))
+    return max(apart - corner, inside) - obstacles.inflation[link, obstacle]
 
 
 @kernel
@@ -277,25 +296,30 @@ def _threat(
         kept: how much of the distance from the links is none, besides the lead [m].
         lead: as for `inflated_obstacles` [s].
     """
-    least, link_at, obstacle_at = 0.0, -1, -1
-    for obstacle in range(len(obstacles.speeds)):
-        speed = obstacles.speeds[obstacle]
-        if speed == 0.0:
-            continue
-        none = kept + lead * speed
-        for link in joints.links:
-            if is_contact(obstacles, link, obstacle):
+    count = len(obstacles.speeds)
+    depths = np.full(len(arm.start) * count, np.inf)
+    for link in joints.links:
+        start, end = place(arm.start, link), place(arm.end, link)
+        for obstacle in range(count):
+            speed = obstacles.speeds[obstacle]
+            if speed == 0.0 or is_contact(obstacles, link, obstacle):
                 continue
-            start, end = place(arm.start, link), place(arm.end, link)
             if obstacles.shapes[obstacle] == ELLIPSOID:
-                distance = _course_of_ellipsoid(
+                least = _course_of_ellipsoid(
                     obstacles, link, obstacle, start, end, joints.horizon)
             else:
-                distance = _course_of_ball(
+                least = _least_on_course(
                     obstacles, link, obstacle, start, end, joints.horizon)
-                if distance + none < least:
-                    distance = _course_of_other(
-                        obstacles, link, obstacle, start, end, joints.horizon)
-            if distance + none < least:
-                least, link_at, obstacle_at = distance + none, link, obstacle
-    return Threat(link_at, obstacle_at)
+            depths[link * count + obstacle] = least + kept + lead * speed
+    # The one that seems deepest comes first: then few others need more than a bound.
+    first, deepest, at = int(depths.argmin()) if count > 0 else 0, 0.0, -1
+    for i in range(-1 if count > 0 else 0, len(depths)):
+        pair = i if i >= 0 else first
+        depth, link, obstacle = depths[pair], pair // count, pair % count
+        if depth < deepest and obstacles.shapes[obstacle] != ELLIPSOID:
+            depth = kept + lead * obstacles.speeds[obstacle] + _course_of_other(
+                obstacles, link, obstacle, place(arm.start, link), place(arm.end, link),
+                joints.horizon)
+        if depth < deepest:
+            deepest, at = depth, pair
+    return Threat(at // count, at % count) if at >= 0 else Threat(-1, -1)

@@ -19,6 +19,7 @@ from redundant_planner.core.kernels import (
     Indices,
     kernel,
     Matrix,
+    OutMatrix,
     OutVector,
     Vector,
 )
@@ -26,7 +27,7 @@ from redundant_planner.core.obstacles.clearance import is_contact, link_pair
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.shapes import ELLIPSOID
 from redundant_planner.core.robot.kinematics import Links
-from redundant_planner.core.robot.se3 import Place
+from redundant_planner.core.robot.se3 import Place, place
 
 Array = npt.NDArray[np.float64]
 
@@ -34,10 +35,11 @@ Array = npt.NDArray[np.float64]
 TIME_STEP = 0.05
 # A link is clear at this distance from the obstacles, beyond what is kept from them anyway [m].
 CLEAR_DISTANCE = 0.005
-# Further away than this no distance is needed exactly [m].
-_FAR_ENOUGH = 0.1
-# What the distance of another shape costs, in distances of ellipsoids: mostly a bound will do.
-_COST_OF_OTHERS = 3
+# A distance is exact up to this much more than is asked for: then it holds for a while [m].
+_BEYOND = 0.01
+# What the distance of another shape costs, in distances of ellipsoids: mostly a bound will do;
+# and what it costs to look which of a link's pairs need one.
+_COST_OF_OTHERS, _COST_OF_LINK = 3, 3
 
 
 class TurningJoints(NamedTuple):
@@ -118,43 +120,75 @@ def turn_point(joint_screw: Vector, turn: float, point: OutVector) -> None:
 
 
 @kernel
-def _distance(
-    obstacles: InflatedObstacles, link: int, start: Vector, end: Vector, time: float,
+def _room(
+    obstacles: InflatedObstacles, link: int, obstacle: int, time: float, start: Place, end: Place,
+    enough: float,
 ) -> float:
-    """Return a link's smallest distance from where obstacles are after a time [m]."""
-    least = np.inf
-    # Beyond what is far enough a bound from below serves as well.
-    here, there = Place(start[0], start[1], start[2]), Place(end[0], end[1], end[2])
-    for obstacle in range(len(obstacles.speeds)):
-        if is_contact(obstacles, link, obstacle):
-            continue
-        rho, _ = link_pair(
-            obstacles, link, obstacle, time, here, there, min(least, _FAR_ENOUGH))
-        least = min(least, rho * obstacles.smallest[link, obstacle])
-    return least
+    """Return how much further than clear a link is from where an obstacle is after a time [m].
+
+    A little beyond what is enough it is a bound from below.
+    """
+    rho, _ = link_pair(
+        obstacles, link, obstacle, time, start, end, enough + CLEAR_DISTANCE + _BEYOND)
+    return rho * obstacles.smallest[link, obstacle] - CLEAR_DISTANCE
+
+
+@kernel
+def _rooms_now(arm: Links, obstacles: InflatedObstacles, joints: TurningJoints) -> Matrix:
+    """Return how much further than clear (c, k) links are from obstacles now [m].
+
+    Links that do not turn, and pairs that may touch, have more than enough.
+    """
+    rooms = np.full(obstacles.smallest.shape, np.inf)
+    for link in joints.links:
+        start, end = place(arm.start, link), place(arm.end, link)
+        for obstacle in range(len(obstacles.speeds)):
+            if not is_contact(obstacles, link, obstacle):
+                rooms[link, obstacle] = _room(
+                    obstacles, link, obstacle, 0.0, start, end, 0.0)
+    return rooms
+
+
+@kernel
+def _turned(
+    arm: Links, link: int, turned: Vector, ends: OutMatrix,
+) -> tuple[Place, Place]:
+    """Return where a link's ends are once the first joints have turned; writes them (2, 3)."""
+    start, end = ends[0], ends[1]
+    start[:], end[:] = arm.start[link], arm.end[link]
+    for j in range(len(turned) - 1, -1, -1):
+        if arm.supports[link, j] > 0.0:
+            turn_point(arm.joint_screws[:, j], turned[j], start)
+            turn_point(arm.joint_screws[:, j], turned[j], end)
+    return place(ends, 0), place(ends, 1)
 
 
 @kernel
 def _shortage(
     arm: Links, obstacles: InflatedObstacles, joints: TurningJoints, velocities: Vector,
-    turn: Vector, at_first: Vector, limit: float,
+    turn: Vector, rooms_now: Matrix, limit: float,
 ) -> tuple[float, int]:
-    """Return what a turn (k,) falls short [m²], and how often a link was measured for that.
+    """Return what a turn (k,) falls short [m²], and what it took, see `Choice.distances`.
 
     It stops early at more than the limit. A distance falls by no more than the link and the
-    obstacles have moved: links are only measured when they could have come too close.
+    obstacle have moved: a pair is only measured when it could have come too close.
 
     Args:
         arm, obstacles, joints, velocities, limit: as for `best_turn`.
         turn: (k,) [rad, m].
-        at_first: (c,) how much further than clear the links are from obstacles now [m].
+        rooms_now: from `_rooms_now`.
     """
-    spare, least = at_first.copy(), np.full(len(at_first), CLEAR_DISTANCE)
+    # A pair's room is kept with both ways until it was measured added: less both ways until now,
+    # it is a bound from below. Only a pair nearer than the link has been so far counts, and
+    # `spare` is what is left until there could be one.
+    rooms, ways, spare = rooms_now.copy(), np.zeros(len(rooms_now)), np.zeros(len(rooms_now))
+    least = np.zeros(len(rooms_now))
     speeds, turned = velocities.copy(), np.zeros(len(turn))
-    start, end = np.empty(3), np.empty(3)
+    ends = np.empty((2, 3))
     passing = TIME_STEP * obstacles.speeds.max()
-    shortage, measured = 0.0, 0
+    shortage, spent = 0.0, 0
     for step in range(1, math.ceil(joints.horizon / TIME_STEP) + 1):
+        time = step * TIME_STEP
         for link in joints.links:
             spare[link] -= passing
         for j in range(len(turn)):
@@ -166,24 +200,30 @@ def _shortage(
             turned[j] += way
             for link in joints.links:
                 spare[link] -= joints.lever_arm_bounds[link, j] * abs(way)
+                ways[link] += joints.lever_arm_bounds[link, j] * abs(way)
         for link in joints.links:
             if spare[link] > 0.0:
                 continue
-            start[:], end[:] = arm.start[link], arm.end[link]
-            for j in range(len(turn) - 1, -1, -1):
-                if arm.supports[link, j] > 0.0:
-                    turn_point(arm.joint_screws[:, j], turned[j], start)
-                    turn_point(arm.joint_screws[:, j], turned[j], end)
-            distance = _distance(obstacles, link, start, end, step * TIME_STEP)
-            measured += 1
-            spare[link] = distance - CLEAR_DISTANCE
-            if distance < least[link]:
-                shortage += joints.weights[link] * (
-                    (CLEAR_DISTANCE - distance) ** 2 - (CLEAR_DISTANCE - least[link]) ** 2)
-                least[link] = distance
+            spare[link] = np.inf
+            start, end = _turned(arm, link, turned, ends)
+            nearest = least[link]
+            for obstacle in range(len(obstacles.speeds)):
+                way = ways[link] + obstacles.speeds[obstacle] * time
+                room = rooms[link, obstacle] - way
+                if room <= least[link]:
+                    room = _room(obstacles, link, obstacle, time, start, end, nearest)
+                    rooms[link, obstacle] = room + way
+                    nearest = min(nearest, room)
+                    spent += 1 if obstacles.shapes[obstacle] == ELLIPSOID else _COST_OF_OTHERS
+                spare[link] = min(spare[link], room)
+            if nearest < least[link]:
+                shortage += joints.weights[link] * (nearest ** 2 - least[link] ** 2)
+                least[link] = nearest
+            spare[link] -= nearest
+            spent += _COST_OF_LINK
         if shortage >= limit:
             break
-    return shortage, measured
+    return shortage, spent
 
 
 @entry
@@ -202,18 +242,12 @@ def best_turn(
         budget: after the first turn none is tried that may take more than what is left of so many
             distances of ellipsoids.
     """
-    at_first = np.zeros(len(joints.weights))
-    for link in joints.links:
-        at_first[link] = _distance(
-            obstacles, link, arm.start[link], arm.end[link], 0.0) - CLEAR_DISTANCE
-    others = int(np.sum(obstacles.shapes != ELLIPSOID))
-    cost = len(obstacles.shapes) + (_COST_OF_OTHERS - 1) * others
+    rooms = _rooms_now(arm, obstacles, joints)
     chosen, smallest, tried, spent, dearest = -1, limit, 0, 0, 0
     while tried < len(turns) and (tried == 0 or spent + dearest <= budget):
-        shortage, measured = _shortage(
-            arm, obstacles, joints, velocities, turns[tried], at_first, smallest)
-        spent += measured * cost
-        dearest = max(dearest, measured * cost)
+        shortage, took = _shortage(
+            arm, obstacles, joints, velocities, turns[tried], rooms, smallest)
+        spent, dearest = spent + took, max(dearest, took)
         if shortage < smallest:
             chosen, smallest = tried, shortage
         # Nothing is better than a turn that falls short of nothing.

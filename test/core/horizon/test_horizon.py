@@ -11,6 +11,7 @@ import pytest
 
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.least_norm_path import least_norm_path
+from redundant_planner.core.horizon.path_qp import PathQP
 from redundant_planner.core.horizon.poses_ahead import middles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
@@ -112,6 +113,31 @@ def test_without_a_plan_dynamic_factor_steps_in_and_says_so(panda, monkeypatch):
     assert 'dynamic_factor steps in' in result.reason
     np.testing.assert_array_equal(
         result.dq, usual.step(PANDA_READY, twist, Scene.of(), DT).dq)
+
+
+def test_a_command_that_turns_about_is_planned_anew_one_look_at_a_time(panda, monkeypatch):
+    """The plan is looked at, then a new one: two looks in a tick would be its longest part."""
+    looks, anew, look = [], [], PathQP.look
+
+    def counted_look(*arguments):
+        looks[-1] += 1
+        return look(*arguments)
+
+    def counted_path(*arguments):
+        anew[-1] += 1
+        return least_norm_path(*arguments)
+
+    monkeypatch.setattr(PathQP, 'look', counted_look)
+    monkeypatch.setattr('redundant_planner.core.horizon.horizon.least_norm_path', counted_path)
+    planner, q = Planner(panda, VARIATIONAL), PANDA_READY
+    scene, twist = Scene.of(random_scene(panda, 3)), np.array([0.2, 0.1, -0.1, 0.2, 0.0, 0.0])
+    for i in range(200):
+        looks.append(0)
+        anew.append(0)
+        q = q + DT * planner.step(q, twist if i % 50 < 25 else -twist, scene, DT).dq
+    assert max(looks) == 1 and sum(looks) > 50
+    # Within a few ticks of every turn.
+    assert all(sum(anew[turn:turn + 5]) > 0 for turn in range(25, 200, 25))
 
 
 def test_an_arm_without_a_spare_joint_has_no_choice(planar):
