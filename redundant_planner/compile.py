@@ -23,11 +23,12 @@ STEPS = (
     (('core.obstacles.near_pairs', 'core.redundancy.criteria'),
      ('core.obstacles.self_collision', 'core.safety.limits', 'core.safety.qp',
       'core.safety.position_command', 'core.obstacles.motion_estimate', 'core.robot.model')),
-    (('core.obstacles.evasion', 'core.safety.barriers'),
+    (('core.obstacles.courses', 'core.safety.barriers'),
      ('core.redundancy.reference', 'core.safety.pace', 'core.obstacles.nearby',
       'io.obstacle_tracker', 'io.preview_reader', 'perception.depth_camera')),
     (('core.tick',),
-     ('core.horizon.path_qp', 'core.horizon.multi_start', 'perception.cloud_filter')),
+     ('core.horizon.path_linearised', 'core.horizon.path_qp', 'core.horizon.multi_start',
+      'perception.cloud_filter')),
     (('core.planner',), ()),
 )
 

@@ -68,7 +68,7 @@ class Motion:
 def simulate(
     planner: AnyPlanner, start: npt.ArrayLike,
     twist: npt.ArrayLike | Callable[[float], npt.ArrayLike], scene: Scene, duration: float,
-    dt: float, preview: Preview | None = None, target: Target | None = None,
+    dt: float, preview: Preview | None = None, *, target: Target | None = None,
 ) -> Motion:
     """Run the planner from rest, in closed loop with an arm that follows at once.
 

@@ -50,8 +50,9 @@ Array = npt.NDArray[np.float64]
 _SHORTEST_TICK = 1e-4
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
 _MANY_DISTANCES = 3000
-# What is said while the arm is on a free way back to its path.
+# What is said while the arm is on a free way back to its path, and where jerk is not limited.
 _BACK = 'the arm comes back to its path'
+_JERK_GIVES_WAY = 'jerk gives way to a clearance'
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
 _RUSH = 0.1
 
@@ -75,6 +76,26 @@ class _LastTick(NamedTuple):
     followed: Array
     leaving: bool
     rush: float
+
+
+class _Aim(NamedTuple):
+    """Where a tick is to lead.
+
+    Attributes:
+        start: of the tick.
+        commanded: whether the tip is to move.
+        joints: what the joints are to do on a free way; None where the tip keeps to a path.
+        turn: of the first joints, out of the course of what moves.
+        path: (n,) velocity of the joint path ahead; None where there is none.
+        says: the part of the reason that tells of it.
+    """
+
+    start: Start
+    commanded: bool
+    joints: JointMotion | None
+    turn: Turn
+    path: Array | None
+    says: str
 
 
 class Planner:
@@ -235,8 +256,55 @@ class Planner:
         around = self._watch.look(scene, arm, last.dq, dt)
 
         # Aim: at the target, out of the course of what moves, and along the joint path ahead.
-        start = Start(arm, last.reference or pose, command, last.dq, dt)
-        joints: JointMotion | None = None
+        aim = self._aim(Start(arm, last.reference or pose, command, last.dq, dt),
+                        commanded, around, ahead, target)
+        start, joints = aim.start, aim.joints
+
+        # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
+        world = World(
+            around.maps, around.q, around.range, aim.turn,
+            last.dq if aim.path is None else aim.path,
+            0.0 if aim.path is None else self._look_ahead.guided, self._observer.strayed)
+        desired = wish(start, world, self._links, self._constants, self._limits, self._gains)
+
+        # Guard: every limit and barrier, docs/safety.md.
+        crowded = joints is None and self._switch(desired, around, aim.commanded, dt)
+        result, reason = Filtered.untouched(desired.dq), ''
+        if joints is not None:
+            desired = desired._replace(dq=joints.wanted)
+            result = Filtered.untouched(desired.dq)
+        if self._filtered and (joints is not None or not desired.admissible):
+            result = self._filter(desired, start, joints)
+            reason = self._reason(result, desired, around, start, aim.commanded)
+        result, slower = self._slow_down.slowed(
+            result, scene, arm, start.previous, dt * self._limits.acceleration_max)
+        fallbacks = '; '.join(self._fallbacks(
+            result, desired, aim.path is None and joints is None, crowded))
+        jerk_kept = self._mean.ticks >= self._ticks(dt)
+        reasons = (fallbacks, aim.says, slower, reason, '' if jerk_kept else _JERK_GIVES_WAY)
+
+        # Remember: where the tip should be, and how fast the arm is.
+        self._remember(result, desired, start, joints is not None, target is not None)
+        return StepResult(
+            self._last.sent.copy(), desired.least_norm, desired.homogeneous, desired.factor,
+            result.scale, result.stage, '; '.join(filter(None, reasons)), fallbacks,
+            desired.clearance_index, self._nearest(desired, around),
+            desired.manipulability, pose, desired.task.error, jerk_kept,
+            None if target is None else self._way.progress(target, arm))
+
+    def _aim(
+        self, start: Start, commanded: bool, around: Surroundings,
+        ahead: Preview | TwistAhead | None, target: Target | None,
+    ) -> _Aim:
+        """Return where a tick is to lead: to a target, back to the path, or along the command.
+
+        Args:
+            start: of the tick, with the twist as its command.
+            commanded: whether that commands something.
+            around: the obstacles near the arm.
+            ahead, target: see `step`.
+        """
+        joints, says = None, ''
         goal = self._back.target if target is None else target
         if target is not None:
             self._back.reset()
@@ -244,51 +312,19 @@ class Planner:
             self._way.reset()
         else:
             command, ahead, joints = self._way.aim(
-                start, goal, self.robot.full_twist(last.followed),
-                0.5 * (self._mean.ticks - 1) * dt, self._watch.everywhere,
+                start, goal, self.robot.full_twist(self._last.followed),
+                0.5 * (self._mean.ticks - 1) * start.dt, self._watch.everywhere,
                 free=target is None)
             start, commanded = start._replace(command=command), bool(command.any())
-        turn, path = self._turn(start, around), None
+            says = '; '.join(filter(None, (_BACK if target is None else '', self._way.lacks)))
+        turn = self._turn(start, around)
         if joints is None:
             path = self._look_ahead.velocity(start, around.ahead, ahead, self._busy)
-        else:
-            # What the joints do is given: the tip's path is not kept, nor its null space used.
-            self._look_ahead.reset()
-            start = start._replace(reference=pose)
-
-        # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
-        world = World(
-            around.maps, around.q, around.range, turn, last.dq if path is None else path,
-            0.0 if path is None else self._look_ahead.guided, self._observer.strayed)
-        desired = wish(start, world, self._links, self._constants, self._limits, self._gains)
-
-        # Guard: every limit and barrier, docs/safety.md.
-        crowded = joints is None and self._switch(desired, around, commanded, dt)
-        result, reason = Filtered.untouched(desired.dq), ''
-        if joints is not None:
-            desired = desired._replace(dq=joints.wanted)
-            result = Filtered.untouched(desired.dq)
-        if self._filtered and (joints is not None or not desired.admissible):
-            result = self._filter(desired, start, joints)
-            reason = self._reason(result, desired, around, start, commanded)
-        result, slower = self._slow_down.slowed(
-            result, scene, arm, start.previous, dt * self._limits.acceleration_max)
-        fallbacks = self._fallbacks(result, desired, path is None and joints is None, crowded)
-        jerk_kept = self._mean.ticks >= self._ticks(dt)
-        back = _BACK if goal is not None and target is None else ''
-        lacks = '' if goal is None else self._way.lacks
-        reasons = [text for text in (*fallbacks, back, lacks, slower, reason) if text]
-        if not jerk_kept:
-            reasons = [*reasons, 'jerk gives way to a clearance']
-
-        # Remember: where the tip should be, and how fast the arm is.
-        self._remember(result, desired, start, joints is not None, target is not None)
-        return StepResult(
-            self._last.sent.copy(), desired.least_norm, desired.homogeneous, desired.factor,
-            result.scale, result.stage, '; '.join(reasons), '; '.join(fallbacks),
-            desired.clearance_index, self._nearest(desired, around),
-            desired.manipulability, pose, desired.task.error, jerk_kept,
-            None if target is None else self._way.progress(target, arm))
+            return _Aim(start, commanded, None, turn, path, says)
+        # What the joints do is given: the tip's path is not kept, nor its null space used.
+        self._look_ahead.reset()
+        pose = Pose(start.arm.tip_position, start.arm.tip_rotation)
+        return _Aim(start._replace(reference=pose), commanded, joints, turn, None, says)
 
     def _remember(
         self, result: Filtered, desired: Wish, start: Start, by_joints: bool, by_target: bool,
