@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 import struct
 
+from builtin_interfaces.msg import Time
 from hypothesis import given, strategies as st
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
 
 from redundant_planner.io.cloud_layout import cloud_layout, CloudError, MOST_POINTS, points_of
 from redundant_planner.io.cloud_writer import cloud_bytes
@@ -119,6 +121,9 @@ def with_field(index, **changes):
     (good_cloud(fields=[*good_cloud().fields, PointField(name='x', datatype=7, count=1)]),
      "'x' appears 2 times"),
     (good_cloud(fields=1001 * [PointField()]), 'it has 1001 fields'),
+    # A second later its seconds no longer fit into the voxels' stamp.
+    (good_cloud(header=Header(stamp=Time(sec=2**31 - 1, nanosec=10**9))),
+     'the nanosec of its stamp is 1000000000; below 1000000000 is right'),
 ])
 def test_a_cloud_that_contradicts_itself_is_refused_by_name(cloud, said):
     with pytest.raises(CloudError, match=re.escape(said)):

@@ -39,7 +39,7 @@ _OLDEST_PATH = 0.04
 _STANDSTILL = 1e-3
 # How long dynamic_factor takes to switch to the joint path ahead, and back [s]; and the share of
 # it that remains while the path might come of use again.
-_SWITCH_TIME, _RETURN_TIME, _STANDBY = 0.1, 1.0, 1e-3
+_SWITCH_TIME, _RETURN_TIME, _STANDBY = 0.3, 1.0, 1e-3
 # How long it stays with the path once the way is free without it: a way that is blocked in every
 # other tick must not make it switch as often [s].
 _STAY = 0.3
