@@ -107,7 +107,8 @@ def _layout(raw: bytes) -> CloudLayout:
     order = byte_order(raw)
     seconds, nanoseconds, length = struct.unpack_from(f'{order}iII', raw, ENCAPSULATION)
     if nanoseconds >= _NANOSECONDS:
-        raise CloudError(f'the nanosec of its stamp is {nanoseconds}; below {_NANOSECONDS} is right')
+        raise CloudError(
+            f'the nanosec of its stamp is {nanoseconds}; below {_NANOSECONDS} is right')
     at = ENCAPSULATION + 12
     frame = text(raw, at, length)
     at = _aligned(at + length)
