@@ -304,8 +304,8 @@ class Planner:
             around: the obstacles near the arm.
             ahead, target: see `step`.
         """
-        joints, says = None, ''
-        goal = self._back.target if target is None else target
+        joints: JointMotion | None = None
+        goal, says = self._back.target if target is None else target, ''
         if target is not None:
             self._back.reset()
         if goal is None:
