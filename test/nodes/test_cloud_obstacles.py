@@ -119,7 +119,8 @@ def changed(**changes):
      "its field 'x' has datatype 3 (INT16); it must be 7 (FLOAT32)"),
     (changed(point_step=0), 'its point_step is 0'),
     (changed()[:-8], 'its data should have 12 bytes'),
-    (b'\0\1\0\0' + 99 * b'\xff', 'up to 255 are read'),
+    (b'\0\1\0\0' + 99 * b'\xff', 'the nanosec of its stamp is 4294967295'),
+    (b'\0\1\0\0' + 8 * b'\0' + 91 * b'\xff', 'up to 255 are read'),
 ])
 def test_a_damaged_cloud_is_refused_by_name_and_hurts_nobody(seer, raw, reason):
     seer.ros.wait_for(seer.says(reason), reason, meanwhile=lambda: seer.points.publish(raw))
