@@ -24,9 +24,11 @@ from pathlib import Path
 import sys
 import textwrap
 from typing import Any, cast, TypeVar
+import zlib
 
 import numba
 from numba import types
+from numba.core.bytecode import FunctionIdentity
 import numpy as np
 import numpy.typing as npt
 
@@ -53,6 +55,7 @@ _ARRAYS = {
     'OutMatrix': (types.float64, 2), 'OutStack': (types.float64, 3)}
 _SCALARS = {'float': types.float64, 'int': types.intp, 'bool': types.boolean}
 
+_LOCAL = '<locals>'
 _Function = TypeVar('_Function', bound=Callable[..., object])
 
 
@@ -213,15 +216,49 @@ def _compile(
 ) -> _Function:
     if numba.config.DISABLE_JIT:
         return function
-    with _keeping() as kept:
+    with _keeping() as kept, _named_alike_everywhere(function):
         dispatcher = numba.njit(
             arguments, cache=kept, error_model='numpy', no_cfunc_wrapper=True, **options,
         )(function)
+    if 'forceinline' not in options and _LOCAL not in function.__qualname__:
+        _share(dispatcher)
     if dispatcher.stats.cache_misses:
         _say_once()
         if kept:
             seal(Path(dispatcher.stats.cache_path), f'.{function.__qualname__}-')
     return dispatcher
+
+
+@contextmanager
+def _named_alike_everywhere(function: Callable[..., object]) -> Iterator[None]:
+    """Have a function's machine code bear the same name in all processes that compile it.
+
+    Numba's names end in a number that counts up: what is compiled here would not find what
+    another process compiled and kept. Functions within functions keep such numbers: those of one
+    name need not be the same.
+    """
+    if _LOCAL in function.__qualname__:
+        yield
+        return
+    before = FunctionIdentity._unique_ids
+    name = f'{function.__module__}.{function.__qualname__}'
+    FunctionIdentity._unique_ids = itertools.count(zlib.crc32(name.encode()) << 16)
+    try:
+        yield
+    finally:
+        FunctionIdentity._unique_ids = before
+
+
+def _share(dispatcher: Any) -> None:
+    """Have compiled functions call this one by its name.
+
+    Numba would compile it again into each of them, and with it all that it calls: a quarter more
+    work, for ticks that are no faster.
+    """
+    for version in dispatcher.overloads.values():
+        context, function = version.target_context, version.entry_point
+        context.remove_user_function(function)
+        context.insert_user_function(function, version.fndesc)
 
 
 def _say_once() -> None:

@@ -157,6 +157,31 @@ def test_a_start_with_damaged_machine_code_compiles_it_anew(tmp_path):
     assert not start()[1]
 
 
+@pytest.mark.parametrize('lost', ['null_space', 'criteria'])
+def test_machine_code_of_two_processes_fits_together(tmp_path, lost):
+    """One process keeps a function, another the one that it calls."""
+    code = ('import sys, numpy as np; from importlib import import_module\n'
+            'for name in sys.argv[1:]: import_module(f"redundant_planner.core.{name}")\n'
+            'from redundant_planner.core.redundancy import criteria, null_space\n'
+            'parts = null_space.decompose(np.linspace(0.0, 1.0, 42).reshape(6, 7) ** 2)\n'
+            'print(criteria.manipulability_index(parts, np.ones((6, 7))))')
+
+    def start(*first):
+        done = subprocess.run(
+            [sys.executable, '-c', code, *first], capture_output=True, text=True, check=True,
+            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)})
+        return done.stdout, done.stderr
+
+    said, _ = start()
+    lost_files = list(tmp_path.rglob(f'{lost}.*.nb?'))
+    assert lost_files
+    for file in lost_files:
+        file.unlink()
+    again, complaint = start('robot.cone')
+    assert 'compiling' in complaint and again == said
+    assert start() == (said, '')
+
+
 @pytest.mark.parametrize('mode', [0o777, 0o770])
 def test_machine_code_that_others_can_write_is_not_loaded(tmp_path, mode):
     folder = tmp_path / 'kept'

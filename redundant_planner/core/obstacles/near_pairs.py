@@ -23,6 +23,7 @@ from redundant_planner.core.obstacles.clearance_gradients import (
     clearance_gradients_of,
 )
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
+from redundant_planner.core.obstacles.selection import kth_smallest
 from redundant_planner.core.obstacles.shapes import along, ELLIPSOID, flat_stretch, signed_distance
 from redundant_planner.core.robot.kinematics import Chain, KinematicsAlong, Links
 from redundant_planner.core.robot.se3 import place
@@ -189,9 +190,9 @@ def near_pairs(
     acts = int(np.sum(spare <= 0.0))
     widest, urgent = np.inf, np.inf
     if count > MOST_PAIRS:
-        widest = np.partition(spare, MOST_PAIRS)[MOST_PAIRS]
+        widest = kth_smallest(spare, MOST_PAIRS)
     if acts > MOST_ACTING:
-        urgent = np.partition(spare, MOST_ACTING)[MOST_ACTING]
+        urgent = kth_smallest(spare, MOST_ACTING)
     unseen, kept = unseen.copy(), 0
     acting = np.empty(min(acts, MOST_ACTING), np.intp)
     acts = 0
@@ -291,7 +292,7 @@ def near_pairs_along(
                 nearest = min(nearest, distance[at, link, obstacle])
                 found += distance[at, link, obstacle] < within
     if found > MOST_AHEAD_PAIRS:
-        within = np.partition(distance.ravel(), MOST_AHEAD_PAIRS)[MOST_AHEAD_PAIRS]
+        within = kth_smallest(distance.ravel(), MOST_AHEAD_PAIRS)
         found = int(np.sum(distance < within))
     near = NearAlong(np.empty(found, np.intp), np.empty(found), np.empty(found),
                      np.empty((found, arms.q.shape[1])), nearest)

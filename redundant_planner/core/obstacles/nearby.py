@@ -34,6 +34,7 @@ from redundant_planner.core.kernels import (
 )
 from redundant_planner.core.obstacles.inflation import inflated_obstacles, InflatedObstacles
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.obstacles.selection import kth_smallest
 from redundant_planner.core.obstacles.shapes import ELLIPSOID, HALF_SPACE, least_distance
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.se3 import Place
@@ -287,7 +288,7 @@ def _smallest(values: Vector, most: int) -> float:
     """Return the largest of so many of the smallest values; infinity if there are no more."""
     if len(values) <= most:
         return float(np.inf)
-    return float(np.partition(values, most - 1)[most - 1])
+    return kth_smallest(values, most - 1)
 
 
 @kernel
