@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from redundant_planner.core.kernels import compiled, Vector
 
 
@@ -9,13 +11,17 @@ from redundant_planner.core.kernels import compiled, Vector
 def kth_smallest(values: Vector, k: int) -> float:
     """Return `np.sort(values)[k]` without sorting (Hoare's selection).
 
-    np.partition does the same, but Numba needs a twentieth of all compile time for it.
+    At most k values are smaller. A NaN counts as infinite. np.partition does the same, but Numba
+    needs a twentieth of all compile time for it.
 
     Args:
         values: (n,), left as they are.
         k: 0 to n - 1.
     """
     kept = values.copy()
+    for i in range(len(kept)):
+        if math.isnan(kept[i]):
+            kept[i] = math.inf
     left, right = 0, len(kept) - 1
     while left < right:
         first, middle, last = kept[left], kept[(left + right) // 2], kept[right]
