@@ -64,7 +64,7 @@ def test_the_installed_nodes_start_from_the_installed_files(workspace):
     share = workspace / 'install' / 'redundant_planner' / 'share' / 'redundant_planner'
     robot = share / 'config' / 'robots' / 'paper_2p5r.yaml'
     assert robot.read_text() == (ROBOTS / 'paper_2p5r.yaml').read_text()
-    # Compiling for yet another place would take half a minute.
+    # Compiling for yet another place would take a minute or more.
     environment = dict(os.environ, ROS_DOMAIN_ID='104', ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
                        NUMBA_DISABLE_JIT='1')
     sourced = f'source {workspace}/install/setup.bash && cd / && exec '

@@ -265,7 +265,7 @@ def _say_once() -> None:
     if not _told:
         _told.append(True)
         print('redundant_planner: compiling its mathematics, once per installation; this takes '
-              'about half a minute', file=sys.stderr, flush=True)
+              'a minute or more', file=sys.stderr, flush=True)
 
 
 _told: list[bool] = []
