@@ -40,7 +40,8 @@ def ns(time):
     return ORIGIN + round(time * 1e9)
 
 
-def write(path, robot, parameters, motion, topics=tuple(KINDS), more=(), ticks=()):
+def write(path, robot, parameters, motion, topics=tuple(KINDS), more=(), ticks=(),
+          twist_at=SCENARIO.twist_at):
     """Record motions: states and commands every tick, the twist as often, obstacles once."""
     file = share_directory() / 'config' / 'robots' / 'paper_2p5r.yaml'
     robot_parameters, _ = read_robot_parameters(file)
@@ -64,7 +65,7 @@ def write(path, robot, parameters, motion, topics=tuple(KINDS), more=(), ticks=(
             for i, dq in enumerate(part.velocities):
                 at = ns(part.times[i])
                 if 'cmd_vel' in topics:
-                    bag.write_twist('/cmd_vel', at, SCENARIO.twist_at(motion.times[i]))
+                    bag.write_twist('/cmd_vel', at, twist_at(motion.times[i]))
                 for topic in ('joint_states', 'joint_command'):
                     if topic in topics:
                         bag.write_joints(

@@ -42,6 +42,10 @@ _SPEEDS = {'q': (1.1, 1.1), 'z': (0.9, 0.9), 'w': (1.1, 1.0), 'x': (0.9, 1.0),
 # How SDL counts a gamepad's buttons and axes, which game_controller_node keeps: joy/README.md
 BUTTONS = {'y': 3, 'back': 4, 'start': 6, 'left shoulder': 9, 'right shoulder': 10}
 AXES = {'left x': 0, 'left y': 1, 'right x': 2, 'right y': 3}
+# docs/devices.md: at rest so long after letting go, and after the device's last word [s].
+LET_GO = {'gamepad': 0.3, 'keyboard': 0.9, 'spacemouse': 0.3}
+GONE = {'gamepad': 0.4, 'keyboard': 0.9, 'spacemouse': 0.4}
+STOP_KEY = 0.3
 
 
 class GameController:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 import json
 
 from bags import KINDS, ns, paper_motion, SCENARIO, write
@@ -18,12 +19,14 @@ from sensor_msgs.msg import JointState
 
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.analysis.measure_tables import reductions
 from redundant_planner.analysis.metrics import reduction
+from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_repair import repair
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
-from redundant_planner.tools.analyze_bag import main as analyze_bag
+from redundant_planner.tools.analyze_bag import comparison_table, joint_table, main as analyze_bag
 
 
 @pytest.fixture(scope='module')
@@ -63,6 +66,21 @@ def test_the_measures_are_those_of_the_run(recorded):
     assert found.periods.median == pytest.approx(0.004, abs=1e-6)
 
 
+def test_a_command_that_fades_away_has_no_share_that_the_arm_follows(recorded, tmp_path):
+    """The arm is still braking when hardly anything is commanded any more."""
+    _, robot, motion = recorded
+
+    def fading(time):
+        return SCENARIO.twist_at(time) * (1.0 if time < 0.8 else 1e-4)
+
+    faded = analyse(write(tmp_path / 'bag', robot, PlannerParameters(), motion, twist_at=fading))
+    scale, times = faded.curves.scale, faded.curves.times
+    begin = times[0]
+    assert np.isnan(scale[times > begin + 0.81]).all()
+    assert np.isfinite(scale[times < begin + 0.79]).all()
+    assert np.nanmin(scale) >= 0.0 and np.nanmax(scale) < 1.01
+
+
 def test_a_part_is_measured_as_if_it_were_all(recorded):
     path, _, motion = recorded
     part = analyse(path, begin=0.2 - 1e-6, end=0.6 - 1e-6)
@@ -87,6 +105,19 @@ def test_two_runs_are_compared_joint_by_joint(recorded, tmp_path, capsys):
     assert 'reductions (%)' in capsys.readouterr().out
     np.testing.assert_allclose(reduction(np.array([2.0, 0.0]), np.array([1.0, 1.0])),
                                [50.0, np.nan])
+
+
+def test_an_arm_that_starts_at_rest_has_no_initial_velocity_to_reduce(recorded):
+    under_way = analyse(recorded[0])
+    resting = replace(under_way, joints=replace(
+        under_way.joints, initial_velocity=np.full(7, 1e-8)))
+    for base, is_told in ((under_way, True), (resting, False)):
+        titles = [column.header for column in comparison_table(base, under_way).columns]
+        assert ('initial velocity' in titles) == is_told
+        rows = reductions(base, under_way)
+        assert np.isfinite(rows['all joints']['initial_velocity']) == is_told
+        assert rows['all joints']['path'] == 0.0
+    assert 'initial velocity' not in [one.header for one in joint_table(resting).columns]
 
 
 def test_csv_has_the_curves(recorded, tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from device_nodes import DECLARED, SERVICE_KEYS
+from device_nodes import DECLARED, GONE, LET_GO, SERVICE_KEYS, STOP_KEY
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -22,6 +22,7 @@ from redundant_planner.io.devices import (
     run_line,
 )
 from redundant_planner.io.node_parameters import PlannerNodeParameters
+from redundant_planner.io.resources import share_directory
 from redundant_planner.nodes.ros_parameters import changed
 
 
@@ -148,3 +149,12 @@ def test_a_node_can_be_started_by_hand():
 def test_each_file_is_yaml_that_names_nodes_of_any_namespace(device):
     content = yaml.safe_load(device_file(device).read_text())
     assert all(section.startswith('/**/') for section in content)
+
+
+def test_the_docs_promise_these_times_to_rest():
+    page = (share_directory() / 'docs' / 'devices.md').read_text()
+    rows = [[cell.strip() for cell in line.strip('|').split('|')] for line in page.splitlines()
+            if (line.startswith('|') and 'zero twist' in line) or '| nothing |' in line]
+    promised = {row[0] if 'press' not in row[1] else 'k': (row[3], row[4]) for row in rows}
+    assert promised == {'k': (f'{STOP_KEY} s', ''), **{
+        device: (f'{LET_GO[device]} s', f'{GONE[device]} s') for device in LET_GO}}
