@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,22 +36,43 @@ _OURS = {'dynamic factor': PlannerParameters(),
 _PANDA_SEED = 2002
 
 
+@dataclass(frozen=True)
+class Task:
+    """An arm and the motion that its tip shall make.
+
+    Attributes:
+        robot: the arm.
+        start: (n,) posture.
+        twist_at: the tip's twist (6,) at a time [s].
+        preview: the same twists, known in advance.
+        duration: of the motion [s].
+        poses: of the tip, one a tick.
+        obstacles: that stand still.
+    """
+
+    robot: Robot
+    start: Array
+    twist_at: Callable[[float], Array]
+    preview: Preview
+    duration: float
+    poses: Sequence[Pose]
+    obstacles: Sequence[Obstacle]
+
+
 def compare(
-    robot: Robot, start: Array, twist_at: Callable[[float], Array], preview: Preview,
-    duration: float, obstacles: tuple[Obstacle, ...], poses: list[Pose],
-    methods: Mapping[str, PlannerParameters],
+    task: Task, methods: Mapping[str, PlannerParameters],
 ) -> dict[str, tuple[Array, Array]]:
     """Return name → (times, postures) of every method and of the optimum."""
-    scene, found = Scene.of(obstacles), {}
+    scene, found = Scene.of(task.obstacles), {}
     for name, parameters in methods.items():
-        motion = simulate(Planner(robot, parameters), start, twist_at, scene,
-                          duration, DT, preview)
+        motion = simulate(Planner(task.robot, parameters), task.start, task.twist_at, scene,
+                          task.duration, DT, task.preview)
         found[name] = motion.times, motion.positions
     margin = methods['variational'].clearance_margin
-    best = Optimum(robot, start, poses, DT, obstacles, margin).best(
+    best = Optimum(task.robot, task.start, task.poses, DT, task.obstacles, margin).best(
         [positions for _, positions in found.values()])
     assert best is not None
-    found['optimum'] = np.linspace(0.0, duration, len(best[1])), best[1]
+    found['optimum'] = np.linspace(0.0, task.duration, len(best[1])), best[1]
     return found
 
 
@@ -85,9 +106,9 @@ def main() -> None:
         poses.append(integrate(poses[-1], scenario.twist_at(i * DT), DT, False))
     traditional = replace(experiment.methods()['gradient_projection_links'],
                           clearance_margin=PlannerParameters().clearance_margin)
-    found = compare(robot, start, scenario.twist_at, scenario.preview(),
-                    scenario.duration, scenario.obstacles, poses,
-                    {'traditional': traditional, **_OURS})
+    task = Task(robot, start, scenario.twist_at, scenario.preview(), scenario.duration, poses,
+                scenario.obstacles)
+    found = compare(task, {'traditional': traditional, **_OURS})
     print_table("The paper's scenario, whole links clear by the default margin", robot, found)
     columns = [robot.joint_names.index(name) for name in experiment.JOINTS]
     joint_curves(_FOLDER / 'horizon_paper.png', experiment.JOINTS, 'position [rad, m]',
@@ -96,15 +117,13 @@ def main() -> None:
                  "The paper's scenario, whole links clear")
 
     robot = make_robot('panda', 6)
-    task = generate(robot, _PANDA_SEED)
+    motion = generate(robot, _PANDA_SEED)
     ticks = np.linspace(0.0, DURATION, round(DURATION / DT) + 1)
-    found = compare(robot, task.start, task.twist_at,
-                    Preview(ticks, task.twist_at(ticks)), DURATION, task.obstacles,
-                    path_poses(robot, task, DT), {
-                        'traditional': PlannerParameters(
-                            method='gradient_projection', criteria_k_fixed=0.02,
-                            criteria_k_w=1.0, criteria_k_f=0.0),
-                        **_OURS})
+    task = Task(robot, motion.start, motion.twist_at, Preview(ticks, motion.twist_at(ticks)),
+                DURATION, path_poses(robot, motion, DT), motion.obstacles)
+    traditional = PlannerParameters(method='gradient_projection', criteria_k_fixed=0.02,
+                                    criteria_k_w=1.0, criteria_k_f=0.0)
+    found = compare(task, {'traditional': traditional, **_OURS})
     print_table(f'A Panda, scenario {_PANDA_SEED} of the benchmark', robot, found)
     joint_curves(_FOLDER / 'horizon_panda.png', robot.joint_names, 'position [rad]',
                  {name: (_STYLES[name], *curve) for name, curve in found.items()},

@@ -38,6 +38,8 @@ from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
 
 Array = npt.NDArray[np.float64]
 
+# A command slower than this share of the fastest one: a share of it says nothing.
+_SLOW = 0.01
 _TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'attached', 'diagnostics')
 
 
@@ -263,7 +265,7 @@ def _curves(
     n = (rows.shape[1] - 2) // 3
     times, q, dq, ddq = rows[:, 0], rows[:, 1:1 + n], rows[:, 1 + n:1 + 2 * n], rows[:, -1 - n:-1]
     scale: Array = np.full(len(rows), np.nan)
-    error: Array = scale
+    error: Array = np.full(len(rows), np.nan)
     tips: Array = np.full((len(rows), 3), np.nan)
     if robot is not None:
         twists = commanded.at(times)
@@ -272,8 +274,8 @@ def _curves(
         task = np.array([robot.task_rows(twist) for twist in twists])
         size = (task * task).sum(axis=1)
         followed = ((arms.jacobian @ dq[:, :, None])[:, :, 0] * task).sum(axis=1)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            scale = np.where(size > 0.0, followed / size, np.nan)
+        commanded_to_move = size > _SLOW ** 2 * size.max(initial=0.0)
+        scale[commanded_to_move] = followed[commanded_to_move] / size[commanded_to_move]
         error = path_errors(robot, times, twists, tips, arms.tip_rotation)
     told = commands.at(times) if commands is not None else None
     return Curves(times, q, dq, ddq, told, rows[:, -1], scale, tips, error, tuple(scenes))

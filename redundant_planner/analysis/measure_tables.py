@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from redundant_planner.analysis.joint_measures import JointMeasures
 from redundant_planner.analysis.metrics import reduction
+from redundant_planner.analysis.motion_interval import at_rest
 from redundant_planner.analysis.results import Analysis
 from redundant_planner.io.printable import printable
 
@@ -23,6 +25,19 @@ PEAKS = {'velocity': ('peak velocity, commanded', 'velocity_max'),
 # Those that Table 1 and the text of the paper compare.
 COMPARED = ('displacement', 'path', 'effort', 'initial_velocity', 'velocity_change',
              'acceleration_change')
+
+
+def telling(joints: JointMeasures) -> tuple[str, ...]:
+    """Return those of `MEASURES` that tell something of a motion.
+
+    The paper's initial velocity and changes are of a motion that begins, or ends, under way.
+    """
+    left_out: set[str] = set()
+    if at_rest(joints.initial_velocity, joints.peak_velocity):
+        left_out.add('initial_velocity')
+        if at_rest(joints.velocity_change, joints.peak_velocity):
+            left_out |= {'velocity_change', 'acceleration_change'}
+    return tuple(key for key in MEASURES if key not in left_out)
 
 
 def motion_measures(analysis: Analysis) -> dict[str, Any]:
@@ -54,10 +69,14 @@ def motion_measures(analysis: Analysis) -> dict[str, Any]:
 
 
 def reductions(base: Analysis, improved: Analysis) -> dict[str, dict[str, float]]:
-    """Return joint → measure → reduction [%]; 'all joints' has those of the sums."""
+    """Return joint → measure → reduction [%]; 'all joints' has those of the sums.
+
+    NaN where the base has nothing to reduce.
+    """
     order = [improved.joint_names.index(name) for name in base.joint_names]
-    values = {key: (getattr(base.joints, key), getattr(improved.joints, key)[order])
-              for key in COMPARED}
+    told = telling(base.joints)
+    values = {key: (getattr(base.joints, key) if key in told else np.zeros(len(order)),
+                    getattr(improved.joints, key)[order]) for key in COMPARED}
     rows = {name: {key: float(reduction(*pair)[i]) for key, pair in values.items()}
             for i, name in enumerate(base.joint_names)}
     rows['all joints'] = {key: float(reduction(np.array(pair[0].sum()), np.array(pair[1].sum())))

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis.joint_units import joint_units, UNKNOWN
-from redundant_planner.analysis.measure_tables import motion_measures
-from redundant_planner.analysis.motion_interval import at_rest, motion_interval
+from redundant_planner.analysis.measure_tables import MEASURES, motion_measures, telling
+from redundant_planner.analysis.motion_interval import motion_interval
 from redundant_planner.analysis.report_numbers import difference_text, number_text, share_text
 from redundant_planner.analysis.results import Analysis
 
@@ -86,21 +86,11 @@ def facts_of(analysis: Analysis) -> dict[str, str]:
 
 
 def joint_columns(analysis: Analysis) -> list[Column]:
-    """Return the columns of the joints' table, without those that tell nothing.
-
-    The paper's initial velocity and changes are of a motion that begins, or ends, under way.
-    """
-    joints = analysis.joints
-    columns = [Column('displacement', 'u', joints.displacement),
-               Column('path ∫|q̇|', 'u', joints.path), Column('∫q̇²', 'u²/s', joints.effort)]
-    largest = joints.peak_velocity
-    starts_at_rest = at_rest(joints.initial_velocity, largest)
-    if not starts_at_rest:
-        columns.append(Column('initial velocity', 'u/s', joints.initial_velocity))
-    if not (starts_at_rest and at_rest(joints.velocity_change, largest)):
-        columns += [Column('velocity change', 'u/s', joints.velocity_change),
-                    Column('acceleration change', 'u/s²', joints.acceleration_change)]
-    return columns
+    """Return the columns of the joints' table, without those that tell nothing."""
+    units = {'displacement': 'u', 'path': 'u', 'effort': 'u²/s', 'initial_velocity': 'u/s',
+             'velocity_change': 'u/s', 'acceleration_change': 'u/s²'}
+    return [Column(MEASURES[key], units[key], getattr(analysis.joints, key))
+            for key in telling(analysis.joints) if key in units]
 
 
 def peak_columns(analysis: Analysis) -> list[Column]:

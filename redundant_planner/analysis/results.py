@@ -29,7 +29,8 @@ class Curves:
             none did; None without commands.
         clearance: (k,) smallest distance of a link to an obstacle, not more than the true one,
             the smallest since the sample before [m]; infinite without robot or obstacles.
-        scale: (k,) share of the commanded twist that the tip followed, NaN without a command.
+        scale: (k,) share of the commanded twist that the tip followed, NaN without a command
+            and while it is below a hundredth of the largest.
         tips: (k, 3) in the base frame [m], NaN without a robot.
         path_error: (k,) distance of the tip from the commanded path, NaN while there is none [m].
         scenes: times [s] from which on the obstacles stood as given.

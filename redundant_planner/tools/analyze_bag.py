@@ -25,6 +25,7 @@ from redundant_planner.analysis.measure_tables import (
     motion_measures,
     PEAKS,
     reductions,
+    telling,
 )
 from redundant_planner.analysis.results import Analysis
 from redundant_planner.core.errors import PlannerError
@@ -39,14 +40,15 @@ def joint_table(analysis: Analysis) -> Table:
     table = Table(title=f"'{analysis.name}': {analysis.end - analysis.begin:.2f} s, "
                         f'{analysis.samples} joint states')
     table.add_column('joint')
-    for label in MEASURES.values():
-        table.add_column(label, justify='right')
+    measures = telling(analysis.joints)
+    for key in measures:
+        table.add_column(MEASURES[key], justify='right')
     robot, commanded = analysis.robot, analysis.commanded
     if commanded is not None:
         for title, _ in PEAKS.values():
             table.add_column(title, justify='right')
     for i, name in enumerate(analysis.joint_names):
-        cells = [f'{getattr(analysis.joints, key)[i]:.5g}' for key in MEASURES]
+        cells = [f'{getattr(analysis.joints, key)[i]:.5g}' for key in measures]
         for key, (_, limit) in PEAKS.items() if commanded is not None else ():
             cells.append(f'{getattr(commanded, key)[i]:.5g}')
             if robot is not None:
@@ -78,11 +80,12 @@ def comparison_table(base: Analysis, improved: Analysis) -> Table:
                            f'{list(base.joint_names)}, {list(improved.joint_names)}')
     table = Table(title=f"reductions (%) of '{improved.name}' against '{base.name}'")
     table.add_column('joint')
-    for key in COMPARED:
+    compared = [key for key in COMPARED if key in telling(base.joints)]
+    for key in compared:
         table.add_column(MEASURES[key], justify='right')
     for name, row in reductions(base, improved).items():
         table.add_row(name, *('–' if np.isnan(row[key]) else f'{row[key]:.1f}'
-                              for key in COMPARED))
+                              for key in compared))
     return table
 
 
