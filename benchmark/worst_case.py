@@ -3,10 +3,14 @@
 Crowds of obstacles of all shapes appear around a moving arm, vanish, grow, wander, turn, close in
 and surround it, while its command leaps about. Every tick is timed by the processor time of this
 process, with what a new scene costs (`Planner.prepare`) included. Ticks are shared evenly between
-the arms, the methods and the numbers of obstacles. The longest are played again, and the fastest
-time of each counts: what the machine itself put in between does not (`longest_at_first_us` has
-it). Compare with the reference, the median tick of `dynamic_factor` without obstacles in the same
-run.
+the arms, the methods and the numbers of obstacles. The reference is the median tick of
+`dynamic_factor` without obstacles in the same run.
+
+The longest ticks are played again, and the fastest time of each counts: what the machine itself
+put in between does not (`longest_at_first_us` has it). A shared machine is half as fast at one
+time as at another, so the reference is taken before and after each play, and the smaller of both
+is what the play's ticks are multiples of. `longest_us` is the longest in times of the run's
+reference.
 
     python -m benchmark.worst_case --ticks 1000000 --json worst_case.json
 """
@@ -78,7 +82,7 @@ class Tick(NamedTuple):
     """A tick that took long.
 
     Attributes:
-        time: it took [us].
+        time: it took, in times of the reference beside it.
         act, index: which.
         stage: of the safety filter.
     """
@@ -142,7 +146,39 @@ def play(robot: Robot, act: Act) -> tuple[Array, int, Tick]:
     return times, fallbacks, Tick(float(times[longest]), act, longest, stage)
 
 
-def confirmed(slowest: list[Tick], robots: dict[str, Robot]) -> list[Tick]:
+class TimedActs:
+    """Plays acts, with the reference beside each."""
+
+    def __init__(self) -> None:
+        """Make the arms."""
+        self._robots = {name: make_robot(name, axes) for name, axes in _ARMS.items()}
+        self.references = [self._reference()]
+
+    def play(self, act: Act) -> tuple[Array, float, int, Tick]:
+        """Play an act.
+
+        Returns:
+            Times of its ticks [us], the reference beside them [us], how many ticks fell back,
+            and the longest tick.
+        """
+        times, fallbacks, longest = play(self._robots[act.arm], act)
+        self.references.append(self._reference())
+        beside = min(self.references[-2:])
+        return times, beside, fallbacks, longest._replace(time=longest.time / beside)
+
+    def replayed(self, act: Act) -> Array:
+        """Play an act again; return its ticks in times of the reference beside them."""
+        self.references.append(self._reference())
+        times, beside, _, _ = self.play(act)
+        return times / beside
+
+    def _reference(self) -> float:
+        times = planner_times(
+            self._robots['panda'], STARTS['panda'], [], 'dynamic_factor', _REFERENCE_TICKS)
+        return float(np.median(times))
+
+
+def confirmed(slowest: list[Tick], acts: TimedActs) -> list[Tick]:
     """Return the ticks that take longest by themselves, the longest first.
 
     Now and then the machine puts something into a tick, which its processor time has as well. An
@@ -153,11 +189,11 @@ def confirmed(slowest: list[Tick], robots: dict[str, Robot]) -> list[Tick]:
     for tick in sorted(slowest, key=lambda tick: -tick.time):
         if len(sure) >= _TOLD and tick.time <= sure[0].time:
             break
-        least = play(robots[tick.act.arm], tick.act)[0]
+        least = acts.replayed(tick.act)
         for _ in range(_REPEATS - 1):
             if len(sure) >= _TOLD and least.max() <= sure[0].time:
                 break
-            least = np.minimum(least, play(robots[tick.act.arm], tick.act)[0])
+            least = np.minimum(least, acts.replayed(tick.act))
         at = int(least.argmax())
         sure.append(tick._replace(time=float(least[at]), index=at,
                                   stage=tick.stage if at == tick.index else ''))
@@ -165,46 +201,39 @@ def confirmed(slowest: list[Tick], robots: dict[str, Robot]) -> list[Tick]:
     return sure[:_TOLD]
 
 
-def reference(robot: Robot) -> float:
-    """Return the median tick of `dynamic_factor` without obstacles [us]."""
-    times = planner_times(robot, STARTS['panda'], [], 'dynamic_factor', _REFERENCE_TICKS)
-    return float(np.median(times))
-
-
 def measure(
     counts: list[int], ticks: int, methods: list[str], seed: int, shapes: tuple[str, ...],
 ) -> dict[str, Any]:
     """Measure ticks among obstacles of some shapes, shared evenly; keys as in the JSON."""
-    robots = {name: make_robot(name, axes) for name, axes in _ARMS.items()}
-    found = {count: Found() for count in counts}
-    cases = list(itertools.product(counts, robots, methods))
+    timed, found = TimedActs(), {count: Found() for count in counts}
+    cases = list(itertools.product(counts, _ARMS, methods))
     acts = max(round(ticks / (_ACT * len(cases))), 1)
     gc.collect()
     gc.freeze()  # as the node does
-    references = [reference(robots['panda'])]
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task('acts', total=acts * len(cases))
         for number in range(acts):
             for count, arm, method in cases:
-                times, fallbacks, longest = play(
-                    robots[arm], Act(arm, method, count, seed, number, shapes))
+                times, _, fallbacks, longest = timed.play(
+                    Act(arm, method, count, seed, number, shapes))
                 found[count].times.extend(times.tolist())
                 found[count].fallbacks += fallbacks
                 found[count].slowest.append(longest)
                 bar.advance(task)
-            references.append(reference(robots['panda']))
-    return {'reference_us': float(np.median(references)), 'seed': seed, 'shapes': shapes,
-            'obstacles': {str(count): _entry(one, robots) for count, one in found.items()}}
+    unit = float(np.median(timed.references))
+    return {'reference_us': unit, 'seed': seed, 'shapes': shapes,
+            'obstacles': {str(count): _entry(one, timed, unit) for count, one in found.items()}}
 
 
-def _entry(found: Found, robots: dict[str, Robot]) -> dict[str, Any]:
-    longest = confirmed(found.slowest, robots)
-    return {'longest_us': longest[0].time, 'longest_at_first_us': max(found.times),
+def _entry(found: Found, acts: TimedActs, unit: float) -> dict[str, Any]:
+    longest = confirmed(found.slowest, acts)
+    return {'longest_us': unit * longest[0].time, 'longest_at_first_us': max(found.times),
             'p9999_us': float(np.percentile(found.times, 99.99)),
             'median_us': float(np.median(found.times)), 'ticks': len(found.times),
             'fallbacks': found.fallbacks,
-            'what': [f'{tick.time:.0f} us: {tick.act.arm}, {tick.act.method}, {tick.act.kind}, '
-                     f'act {tick.act.number}, tick {tick.index} {tick.stage}'.rstrip()
+            'what': [f'{unit * tick.time:.0f} us: {tick.act.arm}, {tick.act.method}, '
+                     f'{tick.act.kind}, act {tick.act.number}, tick {tick.index} '
+                     f'{tick.stage}'.rstrip()
                      for tick in longest]}
 
 

@@ -411,7 +411,7 @@ class Planner:
             self._evasion.reset()
             return NO_TURN
         # A path is overdue every tenth tick at most; obstacles may have to be chosen in each.
-        waits = self._look_ahead.is_overdue(start.dt) or (
+        waits = self._look_ahead.is_overdue(start.dt, self._watch.chose) or (
             self._watch.chose and not self._evasion.has_waited)
         return self._evasion.turn(
             start.arm, around.ahead, start.previous, self._last.leaving, waits, start.dt)
@@ -438,7 +438,7 @@ class Planner:
         """Say where there is no joint path ahead, and which bounds on its work a tick reached."""
         fallbacks = []
         if pathless and self._parameters.method == 'variational':
-            fallbacks.append('no joint path ahead was found: dynamic_factor steps in')
+            fallbacks.append('there is no joint path ahead: dynamic_factor steps in')
         if crowded:
             fallbacks.append(
                 f'no joint path is planned among more than {MOST_OBSTACLES} obstacles')

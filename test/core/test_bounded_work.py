@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.horizon import path_qp
+from redundant_planner.core.obstacles import nearby
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import MOST_ACTING, MOST_AHEAD_PAIRS
@@ -129,3 +130,13 @@ def test_an_arm_with_fewer_joints_than_axes_moves_as_far_as_it_can(method):
         dq = planner.step(q, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.1]), Scene.of(), DT).dq
         assert np.isfinite(dq).all() and (np.abs(dq) <= arm.velocity_max).all()
         q = q + DT * dq
+
+
+def test_a_tick_that_chooses_from_many_obstacles_leaves_the_first_joint_path_to_the_next():
+    planner = Planner(make_panda(), PlannerParameters(method='variational'))
+    scene = Scene.of(
+        Obstacle(f'o{i}', [0.0, 2.0 + 0.1 * i, 0.5], [0.03] * 3) for i in range(nearby.FEW))
+    twist = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    first, second = (planner.step(PANDA_READY, twist, scene, 0.004) for _ in range(2))
+    assert 'no joint path ahead' in first.fallback
+    assert not second.fallback

@@ -89,10 +89,15 @@ class LookAhead:
         """Whether the path's last problem took more iterations than it may."""
         return self._horizon is not None and self._horizon.cut_short
 
-    def is_overdue(self, dt: float) -> bool:
-        """Return whether the next tick has to improve the path, however busy it is."""
+    def is_overdue(self, dt: float, busy: bool) -> bool:
+        """Return whether the next tick has to improve the path.
+
+        Args:
+            dt: the tick's time [s].
+            busy: see `velocity`.
+        """
         return self.guided > 0.0 and (
-            not self._has_planned or self._age + dt >= _OLDEST_PATH)
+            self._age + dt >= _OLDEST_PATH or not (self._has_planned or busy))
 
     def velocity(
         self, start: Start, obstacles: InflatedObstacles, ahead: Preview | TwistAhead | None,
@@ -135,8 +140,8 @@ class LookAhead:
         self, start: Start, obstacles: InflatedObstacles, ahead: TwistAhead | None, busy: bool,
     ) -> None:
         """Take a step to improve the path where one is due."""
-        if self._has_planned and (
-                self._age < _PLANNING_PERIOD or (busy and self._age < _OLDEST_PATH)):
+        if (busy and self._age < _OLDEST_PATH) or (
+                self._has_planned and self._age < _PLANNING_PERIOD):
             return
         elapsed, self._age, self._has_planned = self._age, 0.0, True
         growth = self._growth_of(start.command, elapsed)
