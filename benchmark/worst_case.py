@@ -82,7 +82,7 @@ class Tick(NamedTuple):
     """A tick that took long.
 
     Attributes:
-        time: it took, in times of the reference beside it.
+        time: it took [us]; of `TimedActs`, in times of the reference beside it.
         act, index: which.
         stage: of the safety filter.
     """
