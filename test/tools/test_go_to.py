@@ -115,6 +115,8 @@ def test_there_blocked_and_stopped_by_ctrl_c():
         status, _, err = end(ros, run(ros, '--position', *behind, '--wait'))
         assert status == 1 and re.search(r"(blocked|out of reach): .*'wall", err), err
 
+        # The motion waited for is the next one's: Ctrl-C comes when it has said where to go.
+        ros.wait_for(ros.at_rest, 'rest')
         before = tip()
         process = run(ros, '--position', *(f'{n:.5f}' for n in begin), '--wait')
         ros.wait_for(lambda: np.linalg.norm(tip() - before) > 0.01, 'motion')
