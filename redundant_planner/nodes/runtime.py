@@ -143,6 +143,34 @@ def ros_domain() -> int:
     return int(given)
 
 
+def spin_once(executor: Executor, seconds: float) -> None:
+    """Run what is due or comes within some seconds [s], where Ctrl-C raises KeyboardInterrupt.
+
+    Raised within a callback it would go through the C++ of rclpy's EventsExecutor, which may make
+    another exception of it.
+
+    Raises:
+        KeyboardInterrupt: afterwards, if SIGINT or SIGTERM came and has Python's own handler.
+    """
+    came = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+
+    raising = [number for number in (signal.SIGINT, signal.SIGTERM)
+               if signal.getsignal(number) is signal.default_int_handler]
+    for number in raising:
+        signal.signal(number, note)
+    try:
+        executor.spin_once(timeout_sec=seconds)
+    finally:
+        for number in raising:
+            signal.signal(number, signal.default_int_handler)
+    if came:
+        raise KeyboardInterrupt
+
+
 def best_executor(context: Context) -> Executor:
     """Return the executor with the least overhead per callback that this rclpy has."""
     try:

@@ -75,6 +75,8 @@ class Supervisor:
         self._restart = ''
         self._reset_wanted = False
         self._paused = False
+        # A pause that no tick has heeded yet; it counts even if it has ended before.
+        self._pause_due = False
         self._command_publishers: Sequence[str] = ()
         self._twist_publishers: Sequence[str] = ()
 
@@ -107,6 +109,7 @@ class Supervisor:
     def pause(self, paused: bool) -> str:
         """Leave the arm to others, or take it back; return the answer to the operator."""
         self._paused = paused
+        self._pause_due = self._pause_due or paused
         return ('paused: the arm comes to rest and is left to others' if paused
                 else 'resumed from where the arm is')
 
@@ -156,6 +159,7 @@ class Supervisor:
         else:
             decision = (self._start(now) or self._fault(now, at_rest, joint_state_timeout)
                         or self._wishes())
+        self._pause_due = False
         return decision._replace(time_jumped=time_jumped)
 
     def _note_time(self, now: float) -> bool:
@@ -196,7 +200,7 @@ class Supervisor:
 
     def _wishes(self) -> Decision:
         """Return what the operator asks for: a pause, or motion by one sender's twists."""
-        if self._paused:
+        if self._paused or self._pause_due:
             return Decision('paused')
         if len(self._twist_publishers) > 1:
             reason = (f'{_several("cmd_vel", self._twist_publishers, "which are not mixed")}; '

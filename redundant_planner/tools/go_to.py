@@ -34,7 +34,7 @@ from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import configuration_of
 from redundant_planner.io.robot_files import robot_of_values
 from redundant_planner.nodes.messages import positions_from_message
-from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
 from redundant_planner.nodes.state_report import TARGET
 
 Array = npt.NDArray[np.float64]
@@ -97,7 +97,7 @@ class _Client:
 
     def spin(self, seconds: float = 0.02) -> None:
         """Listen for a while [s]."""
-        self._executor.spin_once(timeout_sec=seconds)
+        spin_once(self._executor, seconds)
 
     def wait_for(self, condition: Callable[[], object], what: str) -> None:
         """Listen until something holds.
@@ -166,15 +166,17 @@ class _Client:
         """Bring the arm to rest: a pause lets go of the target."""
         if not self.pause.wait_for_service(1.0):
             return
-        self.pause.call_async(SetBool.Request(data=True))
         until = time.monotonic() + _STOPPING
+        paused = self.pause.call_async(SetBool.Request(data=True))
+        while not paused.done() and time.monotonic() < until:
+            self.spin()
         while time.monotonic() < until:
             self.state = None
             self.spin(0.1)
             if self.state is not None and np.abs(self.state.velocity).max(initial=0.0) < _AT_REST:
                 break
-        done = self.pause.call_async(SetBool.Request(data=False))
-        while not done.done() and time.monotonic() < until + 1.0:
+        resumed = self.pause.call_async(SetBool.Request(data=False))
+        while not resumed.done() and time.monotonic() < until + 1.0:
             self.spin()
 
 

@@ -96,7 +96,12 @@ def _run(options: argparse.Namespace) -> int:
     from rclpy.signals import SignalHandlerOptions
     import viser
 
-    from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, ros_domain
+    from redundant_planner.nodes.runtime import (
+        best_executor,
+        keep_off_shared_memory,
+        ros_domain,
+        spin_once,
+    )
     from redundant_planner.playground import app
     from redundant_planner.playground.scene_nodes import SceneNodes
     from redundant_planner.playground.scenes import page_scenes
@@ -131,7 +136,7 @@ def _run(options: argparse.Namespace) -> int:
                 page.turn()
                 due = max(due, time.monotonic() + _LISTENING)
                 while (left := due - time.monotonic()) > 0.0:
-                    executor.spin_once(timeout_sec=left)
+                    spin_once(executor, left)
         finally:
             # Another Ctrl-C would leave the arm without the planner's last word.
             for number in (signal.SIGINT, signal.SIGTERM):

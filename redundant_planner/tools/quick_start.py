@@ -28,7 +28,12 @@ from std_msgs.msg import String
 
 from redundant_planner.core.errors import known, PlannerError
 from redundant_planner.nodes.child_processes import LiveError, Processes
-from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, ros_domain
+from redundant_planner.nodes.runtime import (
+    best_executor,
+    keep_off_shared_memory,
+    ros_domain,
+    spin_once,
+)
 from redundant_planner.tools.show_robot import (
     Arm,
     arm_of,
@@ -82,7 +87,7 @@ class _Station:
 
     def listen(self, seconds: float) -> None:
         """Take in what comes [s]."""
-        self._executor.spin_once(timeout_sec=seconds)
+        spin_once(self._executor, seconds)
 
     def is_alone(self, domain: int) -> bool:
         """Return whether there surely is no arm, and no planner but ours; False: not sure yet.

@@ -19,7 +19,7 @@ from redundant_planner.analysis.drive_fit import Motion
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.parameters import AXES
 from redundant_planner.nodes.messages import twist_to_message
-from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
 
 Array = npt.NDArray[np.float64]
 
@@ -78,7 +78,7 @@ class _Listener:
         """Listen for so long."""
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0.0:
-            self.executor.spin_once(timeout_sec=min(left, 0.01))
+            spin_once(self.executor, min(left, 0.01))
 
     def motion(self) -> Motion:
         """Return what was noted.

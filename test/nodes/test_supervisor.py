@@ -193,6 +193,14 @@ def test_a_pause_is_a_wish_and_no_fault(loop):
     assert loop.tick() == Decision()
 
 
+def test_a_pause_that_ends_before_a_tick_comes_counts_all_the_same(loop):
+    loop.ticks(1.0)
+    loop.supervisor.pause(True)
+    loop.supervisor.pause(False)
+    assert loop.tick() == Decision('paused')
+    assert loop.tick() == Decision()
+
+
 def test_a_reset_brings_the_arm_to_rest_once(loop):
     assert loop.supervisor.reset().startswith('reset')
     assert loop.tick().hold.startswith('reset') and not loop.supervisor.recovery_due(True)
