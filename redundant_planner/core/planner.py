@@ -49,7 +49,7 @@ Array = npt.NDArray[np.float64]
 # The mean that keeps the jerk limits takes as many ticks as there are in up to a second [s].
 _SHORTEST_TICK = 1e-4
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
-_MANY_DISTANCES = 3000
+_MANY_DISTANCES = 1500
 # What is said while the arm is on a free way back to its path, and where jerk is not limited.
 _BACK = 'the arm comes back to its path'
 _JERK_GIVES_WAY = 'jerk gives way to a clearance'
@@ -319,7 +319,9 @@ class Planner:
             says = '; '.join(filter(None, (_BACK if target is None else '', self._way.lacks)))
         turn = self._turn(start, around)
         if joints is None:
-            path = self._look_ahead.velocity(start, around.ahead, ahead, self._busy)
+            path = self._look_ahead.velocity(
+                start, around.ahead, ahead, busy=self._evasion.spent > _MANY_DISTANCES,
+                chose=self._watch.chose)
             return _Aim(start, commanded, None, turn, path, says)
         # What the joints do is given: the tip's path is not kept, nor its null space used.
         self._look_ahead.reset()
@@ -398,11 +400,6 @@ class Planner:
             self._window = dt, window_of(self._reversal_time, dt) if self._filtered else 1
         return self._window[1]
 
-    @property
-    def _busy(self) -> bool:
-        """Whether this tick has no time to improve the joint path ahead."""
-        return self._watch.chose or self._evasion.spent > _MANY_DISTANCES
-
     def _turn(self, start: Start, around: Surroundings) -> Turn:
         """Return the turn of the first joints out of the course of what moves."""
         p = self._parameters
@@ -410,7 +407,7 @@ class Planner:
                 and p.clearance_evasion_horizon > 0.0):
             self._evasion.reset()
             return NO_TURN
-        # A path is overdue every tenth tick at most; obstacles may have to be chosen in each.
+        # A path is rarely overdue; obstacles may have to be chosen in each tick.
         waits = self._look_ahead.is_overdue(start.dt, self._watch.chose) or (
             self._watch.chose and not self._evasion.has_waited)
         return self._evasion.turn(

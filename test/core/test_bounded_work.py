@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.horizon import path_qp
+from redundant_planner.core.horizon.horizon import Horizon
+from redundant_planner.core.horizon.look_ahead import OLDEST_PATH_CHOOSING
 from redundant_planner.core.obstacles import nearby
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
@@ -140,3 +142,25 @@ def test_a_tick_that_chooses_from_many_obstacles_leaves_the_first_joint_path_to_
     first, second = (planner.step(PANDA_READY, twist, scene, 0.004) for _ in range(2))
     assert 'no joint path ahead' in first.fallback
     assert not second.fallback
+
+
+@pytest.mark.parametrize('period', [1, 2])
+def test_a_tick_that_chooses_plans_no_joint_path_unless_that_is_very_old(period, monkeypatch):
+    """New obstacles come with every tick, or with every other one."""
+    planner = Planner(PANDA, PlannerParameters(method='variational'))
+    scenes = [Scene.of(Obstacle(f'o{i}', [0.0, 2.0 + 0.1 * i + shift, 0.5], [0.03] * 3)
+                       for i in range(nearby.FEW)) for shift in (0.0, 0.01)]
+    planned, advance = [], Horizon.advance
+
+    def noted(*arguments):
+        planned.append(tick)
+        return advance(*arguments)
+
+    monkeypatch.setattr(Horizon, 'advance', noted)
+    twist = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for tick in range(60):
+        planner.step(PANDA_READY, twist, scenes[tick // period % 2], DT)
+    if period == 1:
+        np.testing.assert_array_equal(np.diff(planned), round(OLDEST_PATH_CHOOSING / DT))
+    else:
+        assert planned == list(range(1, 60, 2))

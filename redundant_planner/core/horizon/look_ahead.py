@@ -33,8 +33,9 @@ _TREND = 0.1
 _PLANNING_PERIOD = 0.003
 # No joint path is planned among more obstacles than this.
 MOST_OBSTACLES = 50
-# A tick with other work to do leaves the path as it is, unless it is older than this [s].
-_OLDEST_PATH = 0.04
+# A tick with other work to do leaves the path as it is, unless it is older than this [s]; a tick
+# that has chosen its obstacles anew, which few do, unless it is older than that.
+_OLDEST_PATH, OLDEST_PATH_CHOOSING = 0.04, 0.06
 # An arm this slow stands [rad/s, m/s].
 _STANDSTILL = 1e-3
 # How long dynamic_factor takes to switch to the joint path ahead, and back [s]; and the share of
@@ -89,19 +90,20 @@ class LookAhead:
         """Whether the path's last problem took more iterations than it may."""
         return self._horizon is not None and self._horizon.cut_short
 
-    def is_overdue(self, dt: float, busy: bool) -> bool:
-        """Return whether the next tick has to improve the path.
+    def is_overdue(self, dt: float, chose: bool) -> bool:
+        """Return whether this tick has to improve the path, whatever else it does.
 
         Args:
             dt: the tick's time [s].
-            busy: see `velocity`.
+            chose: whether it has chosen its obstacles anew.
         """
         return self.guided > 0.0 and (
-            self._age + dt >= _OLDEST_PATH or not (self._has_planned or busy))
+            self._age + dt >= (OLDEST_PATH_CHOOSING if chose else _OLDEST_PATH)
+            or not (self._has_planned or chose))
 
     def velocity(
         self, start: Start, obstacles: InflatedObstacles, ahead: Preview | TwistAhead | None,
-        busy: bool,
+        *, busy: bool, chose: bool,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
 
@@ -110,21 +112,23 @@ class LookAhead:
             obstacles: the nearest obstacles.
             ahead: see `Planner.step`.
             busy: whether the tick has other work to do that takes long.
+            chose: whether it has chosen its obstacles anew.
         """
         if self._robot.n <= self._robot.m:
             return None if self.guided == 0.0 else np.zeros(self._robot.n)
         self._age += start.dt
+        oldest = OLDEST_PATH_CHOOSING if chose else _OLDEST_PATH if busy else 0.0
         if isinstance(ahead, Preview):
             ahead = ahead.ahead(0.0)
         if self.guided == 0.0:
             if self._has_planned or isinstance(ahead, PreviewAhead):  # else there is nothing to do
-                self._prepare(start, obstacles, ahead, busy)
+                self._prepare(start, obstacles, ahead, oldest)
             return None
-        self._improve(start, obstacles, ahead, busy)
+        self._improve(start, obstacles, ahead, oldest)
         return self._smoothed(start.dt)
 
     def _prepare(
-        self, start: Start, obstacles: InflatedObstacles, ahead: TwistAhead | None, busy: bool,
+        self, start: Start, obstacles: InflatedObstacles, ahead: TwistAhead | None, oldest: float,
     ) -> None:
         """Plan the path of an announced motion before it begins, to start with it from rest."""
         if (np.abs(start.previous) > _STANDSTILL).any():
@@ -132,16 +136,15 @@ class LookAhead:
                 self.reset()
         elif isinstance(ahead, PreviewAhead) and not start.command.any() and (
                 ahead.rest > 0.0 and ahead.begin < self._horizons[0].times[-1]):
-            self._improve(start, obstacles, ahead, busy)
+            self._improve(start, obstacles, ahead, oldest)
         elif self._age >= _OLDEST_PATH:
             self.reset()
 
     def _improve(
-        self, start: Start, obstacles: InflatedObstacles, ahead: TwistAhead | None, busy: bool,
+        self, start: Start, obstacles: InflatedObstacles, ahead: TwistAhead | None, oldest: float,
     ) -> None:
-        """Take a step to improve the path where one is due."""
-        if (busy and self._age < _OLDEST_PATH) or (
-                self._has_planned and self._age < _PLANNING_PERIOD):
+        """Take a step to improve the path where one is due, or it is so old [s]."""
+        if self._age < max(oldest, _PLANNING_PERIOD if self._has_planned else 0.0):
             return
         elapsed, self._age, self._has_planned = self._age, 0.0, True
         growth = self._growth_of(start.command, elapsed)
