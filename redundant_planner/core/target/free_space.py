@@ -33,6 +33,8 @@ _FINEST = 0.02
 # Steps that lead a posture into the tip's cone, to this share of its angle inside.
 _STEPS_INTO_CONE, _ROOM_IN_CONE = 6, 0.1
 _TINY = 1e-12
+# Most room that is asked of pairs of links [m]: a Panda's hand is never far from its link5.
+_ROOM_OF_PAIRS = 2e-3
 # How many postures are looked at in one piece of work.
 AT_ONCE = 5
 # What a posture costs to look at besides its distances, in distances.
@@ -117,6 +119,16 @@ class FreeSpace:
                         self.joints.position_min, self.joints.position_max)
         return q
 
+    def asked(self, room: float) -> Array:
+        """Return the room (k,) to ask of a way that shall have some [m]; less of pairs of links.
+
+        A constriction between two links is one of the arm itself, that no other way may avoid.
+        """
+        links, pairs = len(self._constants.lever_arm_bounds), len(self._constants.self_pairs)
+        asked = np.full(len(self._reach), room)
+        asked[links:links + pairs] = min(room, _ROOM_OF_PAIRS)
+        return asked
+
     def begin_at(self, q: Array) -> Place:
         """Return a posture (n,) with its room, to start from.
 
@@ -152,7 +164,7 @@ class FreeSpace:
         return Place(q, self.rooms(q[None])[0])
 
     def is_free_between(
-        self, one: Place, other: Place, needed: float,
+        self, one: Place, other: Place, needed: Array,
     ) -> Generator[None, None, bool]:
         """Return whether a straight motion of the joints is free whose ends are.
 
@@ -160,7 +172,7 @@ class FreeSpace:
 
         Args:
             one, other: its ends.
-            needed: room; where an end has less, the motion may have as little [m].
+            needed: (k,) room; where an end has less, the motion may have as little [m].
         """
         least = np.minimum(needed, np.minimum(one.room, other.room))
         step = other.q - one.q

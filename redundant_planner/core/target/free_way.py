@@ -314,7 +314,7 @@ class FreeWay:
         assert found.way is not None
         polygon = np.array([place.q for place in found.way])
         # The curve cuts corners.
-        least = np.minimum(_CORNERS * found.room, np.minimum(
+        least = np.minimum(_CORNERS * space.asked(found.room), np.minimum(
             found.way[0].room, found.way[-1].room) - _SLACK)
         for spacing in _SPACINGS:
             points = resampled(polygon, self._scaling, spacing)

@@ -88,15 +88,15 @@ class PathSearch:
         attempt = 0
         while True:
             yield from self._guess()
-            needed = _ROOMS[attempt % len(_ROOMS)]
+            room = _ROOMS[attempt % len(_ROOMS)]
             most_nodes = min(_FEWEST_NODES * (1 + attempt), _MOST_NODES)
             attempt += 1
             if not self._goals or (self._start.room < -_INSIDE).any():
                 yield from self._explored()
                 continue
-            way = yield from self._connected(needed, most_nodes)
+            way = yield from self._connected(room, most_nodes)
             if way is not None:
-                yield from self._shortened(way, needed)
+                yield from self._shortened(way, room)
             self.rounds += self.way is not None
 
     @property
@@ -147,7 +147,8 @@ class PathSearch:
         if self._tree is None:
             self._tree = _Tree(self._space, [self._start])
         for _ in range(_LOOKS_AROUND if len(self._tree.places) < _FEWEST_NODES else 0):
-            yield from self._tree.grow(self._random.uniform(*self._ranges), _ROOMS[-1])
+            yield from self._tree.grow(
+                self._random.uniform(*self._ranges), self._space.asked(_ROOMS[-1]))
 
     def _note(self, way: Way, room: float) -> None:
         """Keep a way with some room if it is the best."""
@@ -161,10 +162,11 @@ class PathSearch:
             self.way, self.aside = way, False
 
     def _connected(
-        self, needed: float, most_nodes: int,
+        self, room: float, most_nodes: int,
     ) -> Generator[None, None, Way | None]:
         """Return a way with some room to any goal, None where the trees have grown too large."""
         space, start, goals = self._space, self._start, self._goals
+        needed = space.asked(room)
         for goal in sorted(goals, key=lambda goal: float(space.distance(start.q, goal.q))):
             yield
             if (yield from space.is_free_between(start, goal, needed)):
@@ -188,11 +190,11 @@ class PathSearch:
         return None
 
     def _shortened(
-        self, way: Way, needed: float,
+        self, way: Way, room: float,
     ) -> Generator[None, None, None]:
         """Make a way shorter by straight motions with as much room."""
-        self._note(way, needed)
-        in_vain, goals = 0, self._goals
+        self._note(way, room)
+        needed, in_vain, goals = self._space.asked(room), 0, self._goals
         for attempt in range(_SHORTCUTS):
             if in_vain > _IN_VAIN or (len(way) == 2 and attempt > 4 * len(goals)):
                 break
@@ -212,7 +214,7 @@ class PathSearch:
             if roomy and self.length(shorter) < (1.0 - _LEAST_GAIN) * along[-1] and (
                     yield from self._space.is_free_between(one, other, needed)):
                 way, in_vain = shorter, 0
-                self._note(way, needed)
+                self._note(way, room)
             yield
 
     def _point(self, way: Way, along: Array, at: float) -> tuple[int, Place]:
@@ -232,8 +234,8 @@ class _Tree:
         for i, root in enumerate(roots):
             self._postures[i] = root.q
 
-    def grow(self, target: Array, needed: float) -> Generator[None, None, int | None]:
-        """Grow one branch with some room towards a posture (n,); return the new place's number."""
+    def grow(self, target: Array, needed: Array) -> Generator[None, None, int | None]:
+        """Grow one branch with room (k,) towards a posture (n,); return the new place's number."""
         space = self._space
         at = int(space.distance(self._postures[:len(self.places)], target).argmin())
         root = self.places[at]

@@ -57,9 +57,27 @@ def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
                   for _ in range(2))
     if min(one.room.min(), other.room.min()) < 0.01:
         return
-    free = answer(space.is_free_between(one, other, 0.01))
+    needed = np.full(len(one.room), 0.01)
+    free = answer(space.is_free_between(one, other, needed))
     between = space.rooms(np.linspace(one.q, other.q, 400)).min()
     assert between > 0.0 if free else between < 0.01
+
+
+def test_obstacles_get_all_the_room_that_is_asked_for_and_pairs_of_links_less():
+    """A Panda's hand passes its link5 where no other way turns it."""
+    random, space = np.random.default_rng(0), space_among([])
+    links, found = len(PANDA.capsules), 0
+    asked = space.asked(0.01)
+    np.testing.assert_array_equal(asked[:links], 0.01)
+    np.testing.assert_array_equal(space.asked(1e-3), 1e-3)
+    while found < 5:
+        one, other = (space.place(random.uniform(PANDA.position_min, PANDA.position_max))
+                      for _ in range(2))
+        between = space.rooms(np.linspace(one.q, other.q, 400)).min()
+        if min(one.room.min(), other.room.min()) > 0.01 and 0.004 < between < 0.009:
+            found += 1
+            assert answer(space.is_free_between(one, other, asked))
+            assert not answer(space.is_free_between(one, other, np.full(len(asked), 0.01)))
 
 
 @given(SEEDS)
