@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 from collections.abc import Callable
+from operator import itemgetter
 import time
 
 import numpy as np
@@ -151,13 +152,16 @@ class ControlLoop:
             Whether this tick had obstacles to read besides.
         """
         begin = time.perf_counter()
-        messages = [(inbox.topic, take, raw) for inbox, take in self.inboxes
-                    for raw in self._guard.call(f'reading {inbox.topic}', inbox.fetch) or ()]
+        messages = [
+            (sent, inbox.topic, take, raw) for inbox, take in self.inboxes for raw, sent in
+            self._guard.call(f'reading {inbox.topic}', inbox.fetch_stamped) or ()]
+        # Of a target and a twist the later one commands, also where both come within a tick.
+        messages.sort(key=itemgetter(0))
         self.now = self.clock.now()
         if not self.clock.simulated:  # simulated time stands still while a command waits
             self.pacer.begin(self.now)
         self._is_sent, self._no_time = False, ''
-        for topic, take, raw in messages:
+        for _, topic, take, raw in messages:
             self._guard.call(f'reading {topic}', take, raw)
         try:
             decision = self._move_or_brake()
@@ -213,13 +217,17 @@ class ControlLoop:
         if decision.warning:
             self._warn(decision.warning)
         if decision.hold:
-            if self.command.has_target:
-                self._warn(f'target forgotten: {decision.hold}')
-                self.command.forget_target()
+            self._forget_target(decision.hold)
             self._brake()
         else:
             self._move(decision.ignore_command)
         return decision
+
+    def _forget_target(self, reason: str) -> None:
+        """Let go of a target, if there is one: kept, it would move the arm at some later time."""
+        if self.command.has_target:
+            self._warn(f'target forgotten: {reason}')
+            self.command.forget_target()
 
     def _recover(self) -> None:
         """Forget all about the motion: any part of it may have led to the failure."""
@@ -249,7 +257,9 @@ class ControlLoop:
             self.planner.reset()
             self._position_command.reset()
         twist, ahead, target = _NO_TWIST, None, None
-        if not ignore_command:
+        if ignore_command:
+            self._forget_target(ignore_command)
+        else:
             timeout = self.settings.incoming_command_timeout
             target = self._target(posture)
             twist = self._in_command_frame(self.command.twist(timeout), posture)

@@ -51,6 +51,8 @@ def run(make_node: Callable[[], EndableNode], name: str, args: list[str] | None 
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
+        if interrupted:  # a handler within a handler would wait for its own lock
+            return
         interrupted = True
         if node is not None:
             node.end()

@@ -23,6 +23,8 @@ LISTENING = 1.0
 MOVED_BY_OTHERS = 5e-3
 # After a longer time without a tick the motion starts again from the measured posture [s].
 LONGEST_GAP = 1.0
+# The answer to who pauses a planner that somebody has paused before.
+PAUSED_ALREADY = 'paused already: the arm is left to others'
 
 
 class Decision(NamedTuple):
@@ -108,6 +110,8 @@ class Supervisor:
 
     def pause(self, paused: bool) -> str:
         """Leave the arm to others, or take it back; return the answer to the operator."""
+        if paused and self._paused:
+            return PAUSED_ALREADY
         self._paused = paused
         self._pause_due = self._pause_due or paused
         return ('paused: the arm comes to rest and is left to others' if paused

@@ -36,6 +36,7 @@ from redundant_planner.io.robot_files import robot_of_values
 from redundant_planner.nodes.messages import positions_from_message
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
 from redundant_planner.nodes.state_report import TARGET
+from redundant_planner.nodes.supervisor import PAUSED_ALREADY
 
 Array = npt.NDArray[np.float64]
 
@@ -43,8 +44,9 @@ Array = npt.NDArray[np.float64]
 _PATIENCE, _STOPPING = 10.0, 3.0
 # Slower than this is at rest, see docs/interface.md [rad/s, m/s].
 _AT_REST = 2e-3
-# How long an arm that is blocked may stay so before this gives up [s].
-_BLOCKED = 5.0
+# How long an arm that is blocked may stay so before this gives up, and how long the planner may be
+# silent, which speaks of its target 20 times a second [s].
+_BLOCKED, _SILENCE = 5.0, 5.0
 # Targets that differ by less are one, as their numbers are rounded [m, rad].
 _SAME = 1e-5
 # What the planner says is left of a way.
@@ -65,6 +67,7 @@ class _Client:
         self.configuration = ''
         self.state: JointState | None = None
         self.status: DiagnosticStatus | None = None
+        self.heard = -np.inf  # when the status came [s]
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.target = self.node.create_publisher(PoseStamped, 'target_pose', 1)
         self.joint_target = self.node.create_publisher(JointState, 'target_joints', 1)
@@ -93,7 +96,7 @@ class _Client:
         if self._sent is None or status is None:
             return
         if self.status is not None or self.is_of(status, self._sent):
-            self.status = status
+            self.status, self.heard = status, time.monotonic()
 
     def spin(self, seconds: float = 0.02) -> None:
         """Listen for a while [s]."""
@@ -162,22 +165,36 @@ class _Client:
         return bool(np.abs(numbers[:3] - target.position).max() < _SAME
                     and np.abs(turn - target.rotation).max() < _SAME)
 
-    def stop(self) -> None:
-        """Bring the arm to rest: a pause lets go of the target."""
-        if not self.pause.wait_for_service(1.0):
-            return
+    def stop(self) -> str:
+        """Bring the arm to rest, unless no target was sent; return what keeps it from that.
+
+        A pause lets go of the target. One that somebody else began goes on.
+        """
+        if self._sent is None:
+            return ''
+        # Another Ctrl-C would leave the arm moving, or the planner paused.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         until = time.monotonic() + _STOPPING
-        paused = self.pause.call_async(SetBool.Request(data=True))
-        while not paused.done() and time.monotonic() < until:
-            self.spin()
-        while time.monotonic() < until:
+        answer = self._ask_for_pause(True, until) if self.pause.wait_for_service(1.0) else None
+        if answer is None:
+            return f'{self._planner} does not answer'
+        rests = False
+        while not rests and time.monotonic() < until:
             self.state = None
             self.spin(0.1)
-            if self.state is not None and np.abs(self.state.velocity).max(initial=0.0) < _AT_REST:
-                break
-        resumed = self.pause.call_async(SetBool.Request(data=False))
-        while not resumed.done() and time.monotonic() < until + 1.0:
+            rests = self.state is not None and (
+                np.abs(self.state.velocity).max(initial=0.0) < _AT_REST)
+        if answer != PAUSED_ALREADY and self._ask_for_pause(False, until + 1.0) is None:
+            return f'{self._planner} stays paused: it does not answer any more'
+        return '' if rests else f'it does not come to rest within {_STOPPING:g} s'
+
+    def _ask_for_pause(self, paused: bool, until: float) -> str | None:
+        """Have the planner pause or go on; return its answer, None if none comes in time [s]."""
+        answer = self.pause.call_async(SetBool.Request(data=paused))
+        while not answer.done() and time.monotonic() < until:
             self.spin()
+        return str(answer.result().message) if answer.done() else None
 
 
 def target_of(
@@ -241,7 +258,7 @@ def follow(client: _Client, target: Target, console: Console) -> str:
     """Show how far the arm has come until it is there or stays blocked; return the last state.
 
     Raises:
-        StateError: the planner says nothing of the target.
+        StateError: the planner says nothing of the target, or nothing more.
     """
     client.wait_for(lambda: client.status is not None and client.status.values,
                     'word of the target on ~/target')
@@ -269,6 +286,8 @@ def follow(client: _Client, target: Target, console: Console) -> str:
                 blocked_since = time.monotonic()
             elif time.monotonic() > blocked_since + _BLOCKED:
                 return str(state)
+            if time.monotonic() > client.heard + _SILENCE:
+                raise StateError(f'no word of the target for {_SILENCE:g} s')
             client.spin()
 
 
@@ -296,6 +315,14 @@ def _target_of(options: argparse.Namespace, robot: Robot, q: Array) -> Target:
     arm = robot.kinematics(q)
     tip = Pose(arm.tip_position, arm.tip_rotation)
     return target_of(tip, options.position, options.rpy, options.relative)
+
+
+def _stopped(client: _Client) -> bool:
+    """Bring the arm to rest; return whether that worked, and if not, say so."""
+    problem = client.stop()
+    if problem:
+        print(f'go_to: the arm may still move: {problem}', file=sys.stderr)
+    return not problem
 
 
 def main(args: list[str] | None = None) -> int:
@@ -340,15 +367,15 @@ def main(args: list[str] | None = None) -> int:
             return 0
         reason = _values(client.status).get('limited by', '')
         print(f'go_to: {state}{": " if reason else ""}{printable(reason)}', file=sys.stderr)
-        if state in _ENDS:
-            client.stop()
-        return 1
+        return 1 if state not in _ENDS or _stopped(client) else 2
     except (PlannerError, OSError) as error:
         print(f'go_to: {printable(str(error))}', file=sys.stderr)
+        if client is not None:
+            _stopped(client)
         return 2
     except KeyboardInterrupt:
-        if client is not None:
-            client.stop()
+        if client is not None and not _stopped(client):
+            return 2
         print('go_to: stopped', file=sys.stderr)
         return 130
     finally:

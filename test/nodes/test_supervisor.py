@@ -15,6 +15,7 @@ from redundant_planner.nodes.supervisor import (
     LISTENING,
     LONGEST_GAP,
     MOVED_BY_OTHERS,
+    PAUSED_ALREADY,
     Supervisor,
 )
 
@@ -185,7 +186,8 @@ def test_a_second_sender_of_twists_is_ignored_with_the_first(loop):
 
 
 def test_a_pause_is_a_wish_and_no_fault(loop):
-    assert loop.supervisor.pause(True).startswith('paused')
+    assert loop.supervisor.pause(True).startswith('paused: ')
+    assert loop.supervisor.pause(True) == PAUSED_ALREADY
     assert loop.ticks(1.0) == Decision('paused')
     loop.posture = HOME + 1.0  # others move the arm meanwhile
     loop.ticks(1.0)

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from rcl_interfaces.msg import Log
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -203,3 +204,35 @@ def test_a_zero_cmd_vel_lets_go_and_bad_targets_are_refused(ros):
     go(ros, out, 'out of reach')
     values = {v.key: v.value for v in ros.progress[-1].values}
     assert float(values['ends off by [m, rad]']) > 0.3
+
+
+def after(ros, count=100):
+    """The joints after so many more states."""
+    ros.states.clear()
+    ros.wait_for(lambda: len(ros.states) >= count, 'states')
+    return ros.state(NAMES)
+
+
+def test_a_zero_twist_right_after_a_target_lets_go_of_it(ros):
+    """Whichever spoke last commands, also where a tick hears both."""
+    joints = ros.node.create_publisher(JointState, 'target_joints', 10)
+    ros.wait_for(joints.get_subscription_count, 'the planner')
+    begin = ros.state(NAMES)
+    for turn in (0.3, -0.3, 0.3):
+        joints.publish(JointState(name=NAMES[-1:], position=[begin[-1] + turn]))
+        ros.twist.publish(Twist())
+        np.testing.assert_allclose(after(ros), begin, atol=1e-4)
+
+
+def test_a_target_is_forgotten_while_two_send_twists(ros):
+    second = Node('second', context=ros.node.context)
+    second.create_publisher(Twist, 'cmd_vel', 10)
+    begin = tip(ros)
+    ros.wait_for(lambda: any('cmd_vel has 2 publishers' in text for text in ros.said), 'a word')
+    ros.target.publish(pose(begin.tip_position + (0.0, 0.1, 0.0), begin.tip_rotation))
+    ros.wait_for(lambda: any('target forgotten: cmd_vel has 2' in t for t in ros.said), 'another')
+    second.destroy_node()
+    ros.wait_for(lambda: ros.node.count_publishers('cmd_vel') == 1, 'only one')
+    for _ in range(5):
+        after(ros)
+    np.testing.assert_allclose(tip(ros).tip_position, begin.tip_position, atol=1e-4)

@@ -13,11 +13,13 @@ from live_helpers import LIVE, station
 import numpy as np
 import pinocchio as pin
 import pytest
+from std_srvs.srv import SetBool
 
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.nodes.messages import markers_of
+from redundant_planner.nodes.supervisor import PAUSED_ALREADY
 from redundant_planner.tools.go_to import joint_target_of, main as go_to, target_of
 
 TIP = Pose(np.array([0.1, 0.2, 0.3]), np.asarray(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 2)))
@@ -134,3 +136,55 @@ def test_without_a_planner_it_says_what_is_missing():
     with station() as (ros, _):
         status, _, err = end(ros, run(ros, '--position', '0', '0', '0'))
         assert status == 2 and 'no configuration of a planner within 10 s' in err
+
+
+def planner_and_arm(ros, processes):
+    """Start a slow planner and its arm; return the planner."""
+    processes.start('fake_hardware_node', FILE, ARM_VALUES)
+    planner = processes.start('planner_node', FILE, {'limits.linear_speed': 0.05})
+    ros.wait_for(lambda: ros.commands and ros.obstacles.get_subscription_count(), 'start')
+    return planner
+
+
+def far(ros):
+    """The arguments for a motion that takes seconds."""
+    place = ARM.kinematics(ros.state(ARM.joint_names)).tip_position + (0.0, -0.3, 0.0)
+    return ['--position', *(f'{number:.5f}' for number in place), '--wait']
+
+
+@pytest.mark.live
+@LIVE
+def test_ctrl_c_twice_stops_the_arm_and_leaves_no_pause():
+    with station() as (ros, processes):
+        planner_and_arm(ros, processes)
+        for _ in range(3):
+            ros.commands.clear()
+            process = run(ros, *far(ros))
+            ros.wait_for(ros.moves, 'motion')
+            for _ in range(2):
+                process.send_signal(signal.SIGINT)
+                ros.spin(0.005)
+            status, _, err = end(ros, process)
+            assert status == 130 and err.strip() == 'go_to: stopped'
+            ros.wait_for(ros.at_rest, 'rest')
+        assert ros.call(SetBool, 'pause', SetBool.Request(data=True)).message != PAUSED_ALREADY
+
+
+@pytest.mark.live
+@LIVE
+def test_somebody_elses_pause_goes_on_and_a_planner_that_ends_is_missed():
+    with station() as (ros, processes):
+        planner = planner_and_arm(ros, processes)
+        ros.call(SetBool, 'pause', SetBool.Request(data=True))
+        status, _, err = end(ros, run(ros, *far(ros)))
+        assert status == 2 and err.startswith('go_to: no word of the target')
+        assert ros.call(
+            SetBool, 'pause', SetBool.Request(data=True)).message == PAUSED_ALREADY
+        ros.call(SetBool, 'pause', SetBool.Request(data=False))
+        ros.commands.clear()
+        process = run(ros, *far(ros))
+        ros.wait_for(ros.moves, 'motion')
+        planner.terminate()
+        status, _, err = end(ros, process)
+        assert status == 2 and 'no word of the target for 5 s' in err
+        assert 'the arm may still move: planner_node does not answer' in err

@@ -33,8 +33,8 @@ _TREND = 0.1
 _PLANNING_PERIOD = 0.003
 # No joint path is planned among more obstacles than this.
 MOST_OBSTACLES = 50
-# A tick with other work to do leaves the path as it is, unless it is older than this [s]; a tick
-# that has chosen its obstacles anew, which few do, unless it is older than that.
+# A tick that searches for an evading turn leaves the path as it is until that is so old [s]. One
+# that has chosen its obstacles anew, which few do, leaves it for longer.
 _OLDEST_PATH, OLDEST_PATH_CHOOSING = 0.04, 0.06
 # An arm this slow stands [rad/s, m/s].
 _STANDSTILL = 1e-3
@@ -143,7 +143,7 @@ class LookAhead:
     def _improve(
         self, start: Start, obstacles: InflatedObstacles, ahead: TwistAhead | None, oldest: float,
     ) -> None:
-        """Take a step to improve the path where one is due, or it is so old [s]."""
+        """Take a step to improve the path where one is due; not before it is `oldest` old [s]."""
         if self._age < max(oldest, _PLANNING_PERIOD if self._has_planned else 0.0):
             return
         elapsed, self._age, self._has_planned = self._age, 0.0, True

@@ -33,7 +33,7 @@ _FINEST = 0.02
 # Steps that lead a posture into the tip's cone, to this share of its angle inside.
 _STEPS_INTO_CONE, _ROOM_IN_CONE = 6, 0.1
 _TINY = 1e-12
-# Most room that is asked of pairs of links [m]: a Panda's hand is never far from its link5.
+# Most room that is asked of pairs of links [m]: a Panda's hand is close to its link5 in most ways.
 _ROOM_OF_PAIRS = 2e-3
 # How many postures are looked at in one piece of work.
 AT_ONCE = 5
@@ -120,9 +120,9 @@ class FreeSpace:
         return q
 
     def asked(self, room: float) -> Array:
-        """Return the room (k,) to ask of a way that shall have some [m]; less of pairs of links.
+        """Return the room (k,) to ask of a way that shall have so much [m].
 
-        A constriction between two links is one of the arm itself, that no other way may avoid.
+        Pairs of links get less: two that are close by the arm's design would forbid most ways.
         """
         links, pairs = len(self._constants.lever_arm_bounds), len(self._constants.self_pairs)
         asked = np.full(len(self._reach), room)

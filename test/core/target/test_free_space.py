@@ -64,7 +64,7 @@ def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
 
 
 def test_obstacles_get_all_the_room_that_is_asked_for_and_pairs_of_links_less():
-    """A Panda's hand passes its link5 where no other way turns it."""
+    """Such as a Panda's hand and its link5, which are close to each other in most motions."""
     random, space = np.random.default_rng(0), space_among([])
     links, found = len(PANDA.capsules), 0
     asked = space.asked(0.01)
