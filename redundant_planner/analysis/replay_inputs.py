@@ -219,7 +219,7 @@ def _ticks_at(
         np.searchsorted(a, times, side='right') for a in arrivals)
     more = [[(count, checksum(listed, count)) for count in np.searchsorted(
         [at for at, _ in listed], times, side='right').tolist()]
-        for listed in inputs.obstacles[1:]]
+        for listed in inputs.obstacles]
     ticks = []
     kind, still = TickKind.STARTING, np.zeros(6)
     for i, (time, twist, scene, preview, held, aim) in enumerate(zip(

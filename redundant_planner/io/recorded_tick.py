@@ -25,7 +25,8 @@ _WITH_ATTACHED = 10
 # those of one that goes to joint positions have these.
 _WITH_POSE, _WITH_JOINTS = 20, 40
 _POSE = 12
-# Rows add this for each further topic with obstacles, which come last of all.
+# Rows add this for each topic with obstacles and a checksum, which come last of all. Earlier rows
+# have none for the first topic.
 _WITH_TOPIC = 100
 # Stamps count seconds in 32 bits, and every other number is smaller.
 _LARGEST = 2.0**32
@@ -52,8 +53,8 @@ class RecordedTick(NamedTuple):
         twist: (6,) in the command frame [m/s, rad/s].
         q: (n,) measured posture [rad, m].
         target: that commands the arm in place of the twist; None for none.
-        more_messages: as `obstacle_messages`, of further topics with obstacles, each with the
-            CRC-32 of the latest one: a recorder that comes later lacks the first.
+        checked_messages: as `obstacle_messages`, of all topics with obstacles, each with the
+            CRC-32 of the latest one: a recorder may come later than the planner, or earlier.
     """
 
     stamp_ns: int
@@ -66,7 +67,7 @@ class RecordedTick(NamedTuple):
     twist: Array
     q: Array
     target: Target | None = None
-    more_messages: tuple[tuple[int, int], ...] = ()
+    checked_messages: tuple[tuple[int, int], ...] = ()
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
@@ -76,11 +77,11 @@ class RecordedTick(NamedTuple):
             target = np.concatenate((self.target.position, self.target.rotation.ravel()))
         elif self.target is not None:
             kind, target = kind + _WITH_JOINTS, self.target
-        kind += _WITH_TOPIC * len(self.more_messages)
+        kind += _WITH_TOPIC * len(self.checked_messages)
         return array.array('d', np.concatenate((
             (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
              self.preview_messages, self.preview_elapsed, self.attached_messages), self.twist,
-            self.q, target, *self.more_messages)).tobytes())
+            self.q, target, *self.checked_messages)).tobytes())
 
     @classmethod
     def of(cls, numbers: Sequence[float], n: int) -> RecordedTick:

@@ -317,10 +317,10 @@ class ControlLoop:
         self._last_command, self._is_sent = dq, True
         if self._publish_tick is not None:
             elapsed = self.command.preview_elapsed() if ahead is not None else np.nan
-            obstacles, *more = zip(self.obstacles.read_counts, self.obstacles.last_read)
+            obstacles = tuple(zip(self.obstacles.read_counts, self.obstacles.last_read))
             self._publish_tick(RecordedTick(
-                stamp_ns, self.now, kind, obstacles[0], self.command.previews, elapsed,
-                self.attached.read_counts[0], twist, posture, target, tuple(more)).numbers())
+                stamp_ns, self.now, kind, obstacles[0][0], self.command.previews, elapsed,
+                self.attached.read_counts[0], twist, posture, target, obstacles).numbers())
 
     def _read_obstacles(self) -> bool:
         """Read messages on obstacles and attached that wait; return whether there were any."""

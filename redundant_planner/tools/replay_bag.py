@@ -125,11 +125,11 @@ def _rows(
         if measured:
             q = tick.q
         # What was taken in after the tick before, with that tick's time.
-        for topic, read in enumerate(_read(inputs, counts, applied, tick)):
-            for _, raw in inputs.obstacles[topic][applied[topic]:read]:
+        for topic, (first, end) in enumerate(_read(inputs, counts, applied, tick)):
+            for _, raw in inputs.obstacles[topic][first:end]:
                 book.update(raw, previous, topic)
-            applied[topic] = max(applied[topic], read)
-        counts = [number for number, _ in tick.more_messages]
+            applied[topic] = end
+        counts = [number for number, _ in tick.checked_messages]
         for _, raw in inputs.attached[held:tick.attached_messages]:
             payload.tracker.update(raw, previous)
         held = max(held, tick.attached_messages)
@@ -154,24 +154,33 @@ def _rows(
 
 def _read(
     inputs: Inputs, counts: list[int], applied: list[int], tick: RecordedTick,
-) -> list[int]:
-    """Return how many of the recorded messages with obstacles a tick knows, of each topic.
+) -> list[tuple[int, int]]:
+    """Return which of the recorded messages with obstacles a tick has heard since the one before.
+
+    The latest one is known by its checksum, and how many there were by their counts: the planner
+    may have missed some, and the recorder others.
 
     Args:
         inputs: of the bag.
-        counts: of the tick before, of all topics but the first.
-        applied: how many it knew.
+        counts: of the tick before; none before the first.
+        applied: up to which message of each topic the tick before had heard.
         tick: which.
+
+    Returns:
+        First message and the end, of each topic.
     """
-    known = [tick.obstacle_messages]
-    for i, (count, check) in enumerate(tick.more_messages[:len(applied) - 1]):
-        known.append(applied[i + 1])
-        if not counts or count != counts[i]:
-            # A message that was not recorded changes nothing.
-            known[-1] = next((
-                place + 1 for place in range(applied[i + 1], len(inputs.obstacles[i + 1]))
-                if checksum(inputs.obstacles[i + 1], place + 1) == check), known[-1])
-    return known
+    checked = tick.checked_messages[:len(applied)]
+    unchecked = len(applied) - len(checked)  # the first topic, in earlier bags
+    read = [(place, max(place, tick.obstacle_messages)) for place in applied[:unchecked]]
+    for i, (count, check) in enumerate(checked):
+        place, listed = applied[unchecked + i], inputs.obstacles[unchecked + i]
+        before = counts[i] if i < len(counts) else 0
+        heard = count - before if count >= before else count  # fewer: another planner began
+        # A message that was not recorded changes nothing.
+        end = next((end for end in range(place + 1, len(listed) + 1)
+                    if checksum(listed, end) == check), place) if heard else place
+        read.append((max(place, end - heard), end))
+    return read
 
 
 def _hold(payload: Payload, planner: Planner | PaperPlanner, book: ObstacleSources) -> None:

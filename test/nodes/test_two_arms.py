@@ -79,7 +79,7 @@ def test_both_arrive_without_a_touch_and_each_ones_bag_replays(tmp_path):
         robot = robot_of_values(inputs.values)
         assert robot.base_frame == 'cell'
         # The other arm is among the inputs, and the replay is exact with it.
-        assert inputs.ticks[-1][1].more_messages[0][0] > 20 and len(inputs.obstacles[1]) > 20
+        assert inputs.ticks[-1][1].checked_messages[1][0] > 20 and len(inputs.obstacles[1]) > 20
         found = differences(inputs, again(inputs, settings_of(PlannerParameters, inputs.values)))
         assert len(found) > 50 and found.max() < 1e-9
         times = np.array([tick.time for _, tick in inputs.ticks])

@@ -9,10 +9,12 @@ from bags import DT, paper_motion, write
 from hypothesis import given, strategies as st
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.replay_inputs import read_inputs, ticks_of_topics
 from redundant_planner.core.errors import StateError
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters, ros_name
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.io.bag_reader import open_bag
@@ -20,6 +22,7 @@ from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.parameter_files import RobotParameters, settings_of
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.io.recording import read_recording
+from redundant_planner.nodes.messages import markers_of
 from redundant_planner.tools.replay_bag import again, differences, main as replay_bag, otherwise
 
 
@@ -41,6 +44,19 @@ def test_a_live_run_with_its_ticks_is_repeated_exactly(paper_runs, tmp_path, met
     assert replay_bag([str(bag), '--out', str(tmp_path / 'again')]) == 0
     said = re.search(r'largest difference (\S+)\n', capfd.readouterr().out)
     assert said and float(said[1]) < 1e-9  # round-off, of processes that place arrays differently
+
+
+def test_a_recorder_may_have_begun_before_the_planner(paper_runs):
+    """What it alone heard is no input: here boxes where the tip is."""
+    with open_bag(paper_runs['dynamic_factor']) as opened:
+        inputs = read_inputs(opened, None, '', '')
+    parameters = settings_of(PlannerParameters, inputs.values)
+    tip = inputs.robot.kinematics(inputs.ticks[0][1].q).tip_position
+    inputs.obstacles[0][:0] = [(0.0, bytes(serialize_message(markers_of(
+        [Obstacle.box(f'unheard{i}', tip + [0.0, 0.0, 0.1 * i], [0.1] * 3)],
+        inputs.robot.base_frame)))) for i in range(3)]
+    found = differences(inputs, again(inputs, parameters))
+    assert len(found) > 500 and found.max() < 1e-9
 
 
 def test_ticks_made_up_take_a_preview_from_its_stamp_on(paper_runs):
@@ -194,7 +210,7 @@ def test_every_kind_of_target_survives_the_way_there_and_back(target, topics):
                         target, topics)
     found = RecordedTick.of(tick.numbers(), 7)
     assert type(found.target) is type(target) and found.kind is TickKind.GOING_ON
-    assert found.more_messages == topics
+    assert found.checked_messages == topics
     one, other = (given if isinstance(given, Pose) else (given,)
                   for given in (found.target, target))
     for part, wanted in zip(one, other, strict=True):
