@@ -49,7 +49,9 @@ Array = npt.NDArray[np.float64]
 # The mean that keeps the jerk limits takes as many ticks as there are in up to a second [s].
 _SHORTEST_TICK = 1e-4
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
-_MANY_DISTANCES = 1500
+_MANY_DISTANCES = 600
+# Evasion waits in ticks that choose among many obstacles, but in no more than these in a row.
+_MOST_WAITING = 2
 # What is said while the arm is on a free way back to its path, and where jerk is not limited.
 _BACK = 'the arm comes back to its path'
 _JERK_GIVES_WAY = 'jerk gives way to a clearance'
@@ -409,7 +411,7 @@ class Planner:
             return NO_TURN
         # A path is rarely overdue; obstacles may have to be chosen in each tick.
         waits = self._look_ahead.is_overdue(start.dt, self._watch.chose) or (
-            self._watch.chose and not self._evasion.has_waited)
+            self._watch.chose and self._evasion.waited < _MOST_WAITING)
         return self._evasion.turn(
             start.arm, around.ahead, start.previous, self._last.leaving, waits, start.dt)
 

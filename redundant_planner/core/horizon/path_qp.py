@@ -44,7 +44,7 @@ _TOLERANCE = 3e-3
 _INTRUSION_PRICE = 200.0
 # Iterations that a step's problem may take: more than most scenes need. What the solver has by
 # then minds the constraints that it has met so far, and the next step goes on from there.
-_MOST_ITERATIONS = 50
+_MOST_ITERATIONS = 40
 # Of DAQP: a constraint that may be violated at a price, and how a solution has ended.
 _SOFT = 8
 _SOLVED, _SOLVED_SOFTLY, _OUT_OF_ITERATIONS = 1, 2, -4

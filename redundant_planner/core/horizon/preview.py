@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import shown, StateError
+from redundant_planner.core.kernels import compiled, Matrix, Vector
 
 Array = npt.NDArray[np.float64]
 
@@ -77,7 +78,7 @@ class Preview:
         Not those of the middle: where the twist makes a step, what lies ahead would make one
         whenever a middle passes it.
         """
-        return np.diff(self._integral(times), axis=0) / np.diff(times)[:, None]
+        return _mean_twists(times, self.times, self.twists, self._integrals)
 
     def ahead(self, now: float) -> PreviewAhead:
         """Return the preview as seen from a time `now` [s]: what `Planner.step` takes then."""
@@ -102,17 +103,35 @@ class Preview:
         pieces = 0.5 * (self.twists[:-1] + self.twists[1:]) * np.diff(self.times)[:, None]
         return np.vstack((np.zeros(6), pieces.cumsum(axis=0)))
 
-    def _integral(self, times: Array) -> Array:
-        """Return the integrals (N, 6) of the twists up to times (N,)."""
-        if len(self.times) == 1:
-            return np.zeros((len(times), 6))
-        before = np.searchsorted(self.times, times, side='right') - 1
-        before = np.minimum(np.maximum(before, 0), len(self.times) - 2)
-        span = np.diff(self.times)[before]
-        elapsed = np.minimum(np.maximum(times - self.times[before], 0.0), span)[:, None]
-        share = elapsed / np.maximum(span, np.finfo(float).tiny)[:, None]
-        step = self.twists[before + 1] - self.twists[before]
-        return self._integrals[before] + elapsed * (self.twists[before] + 0.5 * share * step)
+
+@compiled
+def _mean_twists(times: Vector, points: Vector, twists: Matrix, integrals: Matrix) -> Array:
+    """Return the mean twists (N, 6) from each of ascending times (N + 1,) to the next [s].
+
+    Args:
+        times: [s].
+        points, twists: (k,) and (k, 6), see `Preview`.
+        integrals: (k, 6) of the twists up to each point.
+    """
+    means, reached, now = np.empty((len(times) - 1, 6)), np.zeros(6), np.empty(6)
+    last = len(points) - 2
+    before = 0
+    for i in range(len(times)):
+        now[:] = 0.0
+        if last >= 0:
+            while before < last and points[before + 1] <= times[i]:
+                before += 1
+            span = points[before + 1] - points[before]
+            elapsed = min(max(times[i] - points[before], 0.0), span)
+            share = elapsed / span if span > 0.0 else 0.0
+            for j in range(6):
+                step = twists[before + 1, j] - twists[before, j]
+                now[j] = integrals[before, j] + elapsed * (
+                    twists[before, j] + 0.5 * share * step)
+        if i > 0:
+            means[i - 1] = (now - reached) / (times[i] - times[i - 1])
+        reached[:] = now
+    return means
 
 
 @dataclass(frozen=True)

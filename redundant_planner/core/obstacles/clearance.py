@@ -211,26 +211,33 @@ def link_clearance(
 
 
 @compiled
-def measure(
+def measure_unless(
     obstacles: InflatedObstacles, start: Matrix, end: Matrix, time: float, enough: float,
     pairs: Pairs,
 ) -> None:
-    """Write all pairs at one posture, reached at a time from now [s].
+    """Do what `measure` does, unless a pair's distance is known to be more than is asked for.
 
-    What is further away than `enough` [m], and than the nearest of all, may be given a bound
-    from below.
+    `pairs.distance` is what is known of them: it bounds them from below.
     """
     smallest, least = obstacles.smallest, np.inf
+    count, ellipsoids = len(obstacles.shapes), 0
+    for obstacle in range(count):
+        ellipsoids += obstacles.shapes[obstacle] == ELLIPSOID
     for link in range(len(start)):
         here, there = place(start, link), place(end, link)
         # As if all of them were ellipsoids: without a branch it is done for several at once.
-        for obstacle in range(len(obstacles.shapes)):
+        for obstacle in range(count if ellipsoids > 0 else 0):
             rho, t = _ellipsoid(obstacles, link, obstacle, time, here, there)
             pairs.normalized_distance[link, obstacle] = rho
-            pairs.distance[link, obstacle] = rho * smallest[link, obstacle]
             pairs.parameter[link, obstacle] = t
-        for obstacle in range(len(obstacles.shapes)):
+        for obstacle in range(count):
             if obstacles.shapes[obstacle] == ELLIPSOID:
+                pairs.distance[link, obstacle] = (
+                    pairs.normalized_distance[link, obstacle] * smallest[link, obstacle])
+                continue
+            if pairs.distance[link, obstacle] > max(enough, least):
+                pairs.normalized_distance[link, obstacle] = (
+                    pairs.distance[link, obstacle] / smallest[link, obstacle])
                 continue
             rho, t = _other_shape(
                 obstacles, link, obstacle, time, here, there, max(enough, least))
@@ -240,6 +247,20 @@ def measure(
             pairs.normalized_distance[link, obstacle] = rho
             pairs.distance[link, obstacle] = distance
             pairs.parameter[link, obstacle] = t
+
+
+@compiled
+def measure(
+    obstacles: InflatedObstacles, start: Matrix, end: Matrix, time: float, enough: float,
+    pairs: Pairs,
+) -> None:
+    """Write all pairs at one posture, reached at a time from now [s].
+
+    What is further away than `enough` [m], and than the nearest of all, may be given a bound
+    from below.
+    """
+    pairs.distance[:] = -np.inf
+    measure_unless(obstacles, start, end, time, enough, pairs)
 
 
 @compiled

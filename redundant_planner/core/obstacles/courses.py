@@ -88,12 +88,12 @@ def _gap_on_course(half: float, start: float, way: float, course: float) -> floa
 @kernel
 def _least_on_course(
     obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place,
-    horizon: float,
+    horizon: float, enough: float,
 ) -> float:
     """Return a bound on a link's smallest distance from another shape on its course [m].
 
-    It is the larger one of two: of the ball around the shape; and of the box around it, axis by
-    axis, as if the course took every point of the link along.
+    It is that of the ball around the shape, if this is enough; else the larger one of that and
+    of the box around it, axis by axis, as if the course took every point of the link along.
     """
     x, y, z = obstacles.twists[:3, obstacle] * horizon
     a, b, c = from_center(obstacles, obstacle, 0.0, start.x, start.y, start.z)
@@ -101,29 +101,49 @@ def _least_on_course(
     corner = math.sqrt(core.x * core.x + core.y * core.y + core.z * core.z)
     apart = _segments_apart(
         Place(end.x - start.x, end.y - start.y, end.z - start.z), Place(x, y, z), Place(a, b, c))
+    apart -= corner + obstacles.inflation[link, obstacle]
+    if apart >= enough:
+        return apart
     begin, way = segment_in_axes(obstacles, obstacle, 0.0, start, end)
     x, y, z = in_axes(obstacles, obstacle, x, y, z)
     inside = max(_gap_on_course(core.x, begin.x, way.x, x),
                  _gap_on_course(core.y, begin.y, way.y, y),
                  _gap_on_course(core.z, begin.z, way.z, z))
-    return max(apart - corner, inside) - obstacles.inflation[link, obstacle]
+    return max(apart, inside - obstacles.inflation[link, obstacle])
+
+
+@kernel
+def _least_between(first: float, second: float, way: float) -> float:
+    """Return a bound on a convex function in an interval, from its values at golden sections.
+
+    Beyond the sections it goes on at least as steeply as between them, and nowhere does it fall
+    faster than by this way over the interval.
+    """
+    outside = min(abs(first - second) / _GOLDEN, (1.0 - _GOLDEN) * way)
+    between = 0.5 * (first + second - (2.0 * _GOLDEN - 1.0) * way)
+    return min(min(first, second) - outside, between)
 
 
 @kernel
 def _course_of_other(
     obstacles: InflatedObstacles, link: int, obstacle: int, start: Place, end: Place,
-    horizon: float,
+    horizon: float, enough: float,
 ) -> float:
     """Return a link's smallest distance from any other shape on its course [m].
 
     The smallest distance of a segment from a convex shape that moves along a line is a convex
-    function of time: golden sections find its minimum.
+    function of time: golden sections find its minimum. They end early where that is more than
+    enough.
     """
     low, high, smallest = 0.0, horizon, obstacles.smallest[link, obstacle]
+    x, y, z = obstacles.twists[:3, obstacle]
+    speed = math.sqrt(x * x + y * y + z * z)
     before, after = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
     first, _ = link_pair(obstacles, link, obstacle, before, start, end, np.inf)
     second, _ = link_pair(obstacles, link, obstacle, after, start, end, np.inf)
     for _ in range(_SECTIONS):
+        if _least_between(first * smallest, second * smallest, speed * (high - low)) > enough:
+            break
         if first < second:
             high, after, second = after, before, first
             before = high - _GOLDEN * (high - low)
@@ -157,22 +177,24 @@ def deepest_threat(
             speed = obstacles.speeds[obstacle]
             if speed == 0.0 or is_contact(obstacles, link, obstacle):
                 continue
+            more = kept + lead * speed
             if obstacles.shapes[obstacle] == ELLIPSOID:
                 least = _course_of_ellipsoid(
                     obstacles, link, obstacle, start, end, joints.horizon)
             else:
                 least = _least_on_course(
-                    obstacles, link, obstacle, start, end, joints.horizon)
-            depths[link * count + obstacle] = least + kept + lead * speed
+                    obstacles, link, obstacle, start, end, joints.horizon, -more)
+            depths[link * count + obstacle] = least + more
     # The one that seems deepest comes first: then few others need more than a bound.
     first, deepest, at = int(depths.argmin()) if count > 0 else 0, 0.0, -1
     for i in range(-1 if count > 0 else 0, len(depths)):
         pair = i if i >= 0 else first
         depth, link, obstacle = depths[pair], pair // count, pair % count
         if depth < deepest and obstacles.shapes[obstacle] != ELLIPSOID:
-            depth = kept + lead * obstacles.speeds[obstacle] + _course_of_other(
+            more = kept + lead * obstacles.speeds[obstacle]
+            depth = more + _course_of_other(
                 obstacles, link, obstacle, place(arm.start, link), place(arm.end, link),
-                joints.horizon)
+                joints.horizon, deepest - more)
         if depth < deepest:
             deepest, at = depth, pair
     return Threat(at // count, at % count) if at >= 0 else Threat(-1, -1)

@@ -42,7 +42,7 @@ _TURN_DURATIONS = (
 # How many turns a tick tries; all of them take 8 ticks. How many distances of links from obstacles
 # it looks at for that, which bounds its time among many obstacles that move.
 _MOST_TURNS = 24
-_MOST_DISTANCES = 6000
+_MOST_DISTANCES = 5000
 # What a link counts that more joints move than turn: the other joints may still save it.
 _WEIGHT_OF_OTHER_LINKS = 0.2
 # Shares of a joint's limits that a turn uses: the rest of the arm moves, too.
@@ -74,7 +74,7 @@ class Evasion:
 
     Attributes:
         spent: how many distances of links from obstacles the last tick looked at.
-        has_waited: whether the last tick looked for no turn.
+        waited: how many ticks in a row have looked for no turn.
     """
 
     def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
@@ -105,7 +105,7 @@ class Evasion:
         self._shortage, self._is_due = np.inf, True
         self._next = 0
         self.spent = 0
-        self.has_waited = False
+        self.waited = 0
 
     def turn(
         self, arm: Kinematics, obstacles: InflatedObstacles, previous: Array, leaving: bool,
@@ -135,13 +135,14 @@ class Evasion:
         q, velocities = arm.q[:count], previous[:count].copy()
 
         def best(turns: Array, limit: float, budget: int) -> Choice:
-            choice = best_turn(links, obstacles, self._joints, velocities, turns, limit, budget)
+            choice = best_turn(links, obstacles, self._joints, velocities, turns, limit, budget,
+                               self.spent == 0)
             self.spent += choice.distances
             return choice
 
         self.spent = 0
         tries = True
-        self.has_waited = waits
+        self.waited = self.waited + 1 if waits else 0
         if waits:
             tries = False
         elif self._target is not None and self._is_due:
@@ -157,6 +158,8 @@ class Evasion:
             choice = best(
                 turns, _SHORTAGE_SHARE_TO_SWITCH * self._shortage, _MOST_DISTANCES - self.spent)
             self._next = (self._next + choice.tried) % len(self._turns)
+            # One that took more than was left comes first in the next tick.
+            self._is_due = choice.tried > 0
             if choice.turn >= 0:
                 self._target, self._shortage = q + turns[choice.turn], choice.shortage
         if self._target is None:  # obstacles too large for numbers

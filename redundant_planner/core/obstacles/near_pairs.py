@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, Vector
+from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, OutMatrix, Vector
 from redundant_planner.core.obstacles.clearance import (
     core_of,
     is_contact,
     measure,
-    measure_along,
+    measure_unless,
     Pairs,
     PairsAlong,
     segment_in_axes,
@@ -100,31 +100,32 @@ def _add(
 
 @compiled
 def _add_stretch(
-    found: _Candidates, at: int, obstacles: InflatedObstacles, arm: Links, room: float,
+    found: _Candidates, at: int, candidate: int, obstacles: InflatedObstacles, arm: Links,
 ) -> int:
-    """Write the ends of the stretch over which the last candidate's link is flat over a face.
+    """Write the ends of the stretch over which a candidate's link is flat over a face.
 
     Args:
         found, at: where to, from which place on.
+        candidate: which.
         obstacles, arm: as for `near_pairs`.
-        room: how near a point is whose barrier could act [m].
 
     Returns:
         The next place.
     """
-    link, obstacle = found.links[at - 1], found.obstacles[at - 1]
-    nearest, inflation = found.parameter[at - 1], obstacles.inflation[link, obstacle]
+    link, obstacle = found.links[candidate], found.obstacles[candidate]
+    nearest, inflation = found.parameter[candidate], obstacles.inflation[link, obstacle]
     smallest = obstacles.smallest[link, obstacle]
     core, shape = core_of(obstacles, obstacle), obstacles.shapes[obstacle]
     start, way = segment_in_axes(
         obstacles, obstacle, 0.0, place(arm.start, link), place(arm.end, link))
     length = math.sqrt(way.x * way.x + way.y * way.y + way.z * way.z)
-    ends = flat_stretch(shape, core, start, way, signed_distance(
-        shape, core, along(start, way, nearest)))
+    least = signed_distance(shape, core, along(start, way, nearest))
+    ends = flat_stretch(shape, core, start, way, least)
     for t in ends:
         if abs(t - nearest) * length > _APART and ends[0] <= ends[1]:
-            distance = signed_distance(shape, core, along(start, way, t)) - inflation
-            at = _add(found, at, link, obstacle, t, distance / smallest, distance - room)
+            distance = signed_distance(shape, core, along(start, way, t))
+            at = _add(found, at, link, obstacle, t, (distance - inflation) / smallest,
+                      found.spare[candidate] + distance - least)
     return at
 
 
@@ -154,8 +155,12 @@ def _candidates(
                     far <= influence_distance and not obstacles.may_touch[link, obstacle]):
                 at = _add(found, at, link, obstacle, pairs.parameter[link, obstacle],
                           pairs.normalized_distance[link, obstacle], far - room)
-                if obstacles.shapes[obstacle] != ELLIPSOID:
-                    at = _add_stretch(found, at, obstacles, arm, room)
+    # No point of a stretch is nearer than the nearest one.
+    widest = kth_smallest(found.spare[:at], MOST_PAIRS) if at > MOST_PAIRS else np.inf
+    for candidate in range(at):
+        if found.spare[candidate] < widest and (
+                obstacles.shapes[found.obstacles[candidate]] != ELLIPSOID):
+            at = _add_stretch(found, at, candidate, obstacles, arm)
     return found, at, link_at, obstacle_at
 
 
@@ -259,6 +264,33 @@ class NearAlong(NamedTuple):
     nearest: float
 
 
+@kernel
+def _apart(one: Vector, other: Vector) -> float:
+    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def _bound_after(
+    before: Matrix, arms: KinematicsAlong, at: int, ways: Vector, distance: OutMatrix,
+) -> None:
+    """Write how near (c, k) links may be to obstacles at the most, from the posture before.
+
+    A distance falls by no more than the link's ends and the obstacle move.
+
+    Args:
+        before: (c, k) what their distances were at least [m].
+        arms, at: the postures, and which of them it is.
+        ways: (k,) how far the obstacles move in between [m].
+        distance: (c, k) written [m].
+    """
+    for link in range(len(before)):
+        way = max(_apart(arms.segment_start[at - 1, link], arms.segment_start[at, link]),
+                  _apart(arms.segment_end[at - 1, link], arms.segment_end[at, link]))
+        for obstacle in range(len(ways)):
+            distance[link, obstacle] = before[link, obstacle] - way - ways[obstacle]
+
+
 @compiled
 def near_pairs_along(
     obstacles: InflatedObstacles, arms: KinematicsAlong, chain: Chain, times: Vector,
@@ -279,10 +311,16 @@ def near_pairs_along(
     count, (links, k) = len(times), obstacles.smallest.shape
     shape = (count, links, k)
     pairs = PairsAlong(np.empty(shape), np.empty(shape), np.empty(shape))
-    measure_along(obstacles, arms.segment_start, arms.segment_end, times, within, pairs)
     distance = pairs.distance
     found, nearest = 0, np.inf
+    distance[0] = -np.inf
     for at in range(count):
+        if at > 0:
+            ways = obstacles.speeds * (times[at] - times[at - 1])
+            _bound_after(distance[at - 1], arms, at, ways, distance[at])
+        measure_unless(
+            obstacles, arms.segment_start[at], arms.segment_end[at], times[at], within, Pairs(
+                pairs.normalized_distance[at], distance[at], pairs.parameter[at]))
         for link in range(links):
             for obstacle in range(k):
                 if distance[at, link, obstacle] >= max(within, nearest):
@@ -291,9 +329,12 @@ def near_pairs_along(
                     distance[at, link, obstacle] = np.inf
                 nearest = min(nearest, distance[at, link, obstacle])
                 found += distance[at, link, obstacle] < within
-    if found > MOST_AHEAD_PAIRS:
-        within = kth_smallest(distance.ravel(), MOST_AHEAD_PAIRS)
-        found = int(np.sum(distance < within))
+        # What is beyond the nearest so far is beyond the nearest of all: a bound will do for it.
+        # Selecting them after 1, 2, 4, … postures costs little.
+        if found > MOST_AHEAD_PAIRS and (at & (at + 1) == 0 or at + 1 == count):
+            seen = distance[:at + 1].ravel()
+            within = kth_smallest(seen, MOST_AHEAD_PAIRS)
+            found = int(np.sum(seen < within))
     near = NearAlong(np.empty(found, np.intp), np.empty(found), np.empty(found),
                      np.empty((found, arms.q.shape[1])), nearest)
     i = 0

@@ -40,6 +40,7 @@ _BEYOND = 0.01
 # What the distance of another shape costs, in distances of ellipsoids: mostly a bound will do;
 # and what it costs to look which of a link's pairs need one.
 _COST_OF_OTHERS, _COST_OF_LINK = 3, 3
+_NO_BOUND = 2**62
 
 
 class TurningJoints(NamedTuple):
@@ -166,17 +167,18 @@ def _turned(
 @kernel
 def _shortage(
     arm: Links, obstacles: InflatedObstacles, joints: TurningJoints, velocities: Vector,
-    turn: Vector, rooms_now: Matrix, limit: float,
+    turn: Vector, rooms_now: Matrix, limit: float, budget: int,
 ) -> tuple[float, int]:
     """Return what a turn (k,) falls short [m²], and what it took, see `Choice.distances`.
 
-    It stops early at more than the limit. A distance falls by no more than the link and the
-    obstacle have moved: a pair is only measured when it could have come too close.
+    It stops early at more than the limit or budget. A distance falls by no more than the link and
+    the obstacle have moved: a pair is only measured when it could have come too close.
 
     Args:
         arm, obstacles, joints, velocities, limit: as for `best_turn`.
         turn: (k,) [rad, m].
         rooms_now: from `_rooms_now`.
+        budget: how much it may take.
     """
     # A pair's room is kept with both ways until it was measured added: less both ways until now,
     # it is a bound from below. Only a pair nearer than the link has been so far counts, and
@@ -221,7 +223,7 @@ def _shortage(
                 least[link] = nearest
             spare[link] -= nearest
             spent += _COST_OF_LINK
-        if shortage >= limit:
+        if shortage >= limit or spent > budget:
             break
     return shortage, spent
 
@@ -229,7 +231,7 @@ def _shortage(
 @entry
 def best_turn(
     arm: Links, obstacles: InflatedObstacles, joints: TurningJoints, velocities: Vector,
-    turns: Matrix, limit: float, budget: int,
+    turns: Matrix, limit: float, budget: int, at_least_one: bool,
 ) -> Choice:
     """Return the first turn that keeps clear, else the one that falls least short of that.
 
@@ -239,15 +241,19 @@ def best_turn(
         velocities: (k,) theirs now [rad/s, m/s].
         turns: (t, k) [rad, m].
         limit: turns that fall short by this much do not count [m²].
-        budget: after the first turn none is tried that may take more than what is left of so many
-            distances of ellipsoids.
+        budget: how many distances of ellipsoids they may take. None is begun that is likely to
+            take more than what is left.
+        at_least_one: whether the first is tried whatever it takes.
     """
     rooms = _rooms_now(arm, obstacles, joints)
     chosen, smallest, tried, spent, dearest = -1, limit, 0, 0, 0
     while tried < len(turns) and (tried == 0 or spent + dearest <= budget):
+        left = _NO_BOUND if at_least_one and tried == 0 else budget - spent
         shortage, took = _shortage(
-            arm, obstacles, joints, velocities, turns[tried], rooms, smallest)
+            arm, obstacles, joints, velocities, turns[tried], rooms, smallest, left)
         spent, dearest = spent + took, max(dearest, took)
+        if took > left:
+            break
         if shortage < smallest:
             chosen, smallest = tried, shortage
         # Nothing is better than a turn that falls short of nothing.

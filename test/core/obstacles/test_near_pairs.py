@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from closed_loop import random_scene
+from closed_loop import random_obstacle, random_scene
 from conftest import random_postures
 import numpy as np
 import pytest
 from test_clearance import all_clearances
 
+from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.clearance_gradients import clearance_gradients
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
-from redundant_planner.core.obstacles.near_pairs import near_pairs_along
+from redundant_planner.core.obstacles.near_pairs import MOST_AHEAD_PAIRS, near_pairs_along
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 
@@ -37,3 +38,25 @@ def test_pairs_along_a_path_are_those_of_each_posture(robot):
             np.testing.assert_allclose(near.gradient[here], gradient, atol=1e-9)
             found, nearest = here.stop, min(nearest, pairs.distance.min())
         assert found == len(near.normalized_distance) and near.nearest == pytest.approx(nearest)
+
+
+@pytest.mark.parametrize('count', [5, 80])
+def test_of_too_many_pairs_along_a_path_the_nearest_are_taken(robot, count):
+    """Also where a pair's distance is only known from the posture before."""
+    times, random, crowds = np.linspace(0.02, 2.0, 12), np.random.default_rng(4), 0
+    for seed in range(10):
+        one, other = random_postures(robot, 2, seed)
+        arms = robot.kinematics_along(np.linspace(one, one + 0.3 * (other - one), len(times)))
+        scene = Scene.of([random_obstacle(random, f'{i}') for i in range(count)])
+        maps = inflated_obstacles(scene, [c.radius for c in robot.capsules])
+        every = link_clearance(maps, arms.segment_start, arms.segment_end, times)
+        near = near_pairs_along(maps, arms, robot.chain, times, 0.15)
+        within = np.append(np.sort(every.distance.ravel()), np.inf)[
+            min(MOST_AHEAD_PAIRS, every.distance.size)]
+        chosen = (every.distance < min(within, 0.15)).nonzero()
+        np.testing.assert_array_equal(near.postures, chosen[0])
+        np.testing.assert_array_equal(
+            near.normalized_distance, every.normalized_distance[chosen])
+        assert near.nearest == every.distance.min()
+        crowds += within < 0.15
+    assert (crowds > 2) == (count == 80)

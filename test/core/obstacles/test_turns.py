@@ -46,7 +46,7 @@ def shortage_of(robot, joints, q, velocities, maps, turn, enough):
 
 
 def test_the_first_turn_that_keeps_clear_is_chosen_else_the_least_short_one(robot):
-    random, joints, clear = np.random.default_rng(2), joints_of(robot), 0
+    random, joints, clear, given_up = np.random.default_rng(2), joints_of(robot), 0, 0
     for q in random_postures(robot, 12):
         arm, maps = robot.kinematics(q), maps_of(robot, passing(robot, random))
         velocities = random.uniform(-0.5, 0.5, 2) * robot.velocity_max[:2]
@@ -56,26 +56,33 @@ def test_the_first_turn_that_keeps_clear_is_chosen_else_the_least_short_one(robo
         arguments = (robot.links(arm), maps, joints, velocities)
         enough = 10**9
         for turn, shortage in zip(turns, expected):
-            assert best_turn(*arguments, turn[None], np.inf, enough)[1] == (
+            assert best_turn(*arguments, turn[None], np.inf, enough, True)[1] == (
                 pytest.approx(shortage, abs=1e-12))
         at, shortage, done, spent = best_turn(
-            *arguments, turns, np.inf, enough)
+            *arguments, turns, np.inf, enough, True)
         assert at == int(np.argmin(expected)) and shortage == pytest.approx(
             expected.min(), abs=1e-12)
         clear += shortage == 0.0
         # No turn falls short of less than the best one.
-        assert shortage == 0.0 or best_turn(*arguments, turns, shortage, enough)[0] == -1
+        assert shortage == 0.0 or best_turn(
+            *arguments, turns, shortage, enough, True)[0] == -1
         # In several ticks, a few turns each, it comes to the same.
         assert done == len(turns)
         best, begin, rounds = (-1, np.inf), 0, 0
         while begin < len(turns) and best[1] > 0.0:
             found, least, done, some = best_turn(
-                *arguments, turns[begin:], best[1], spent // 4)
+                *arguments, turns[begin:], best[1], spent // 4, True)
             best = (begin + found, least) if found >= 0 else best
             begin, rounds = begin + done, rounds + 1
             assert some <= spent
         assert best[0] == at and (rounds > 1 or clear)
-    assert clear > 0
+        # Without leave for one turn it ends with the step that takes it over its bound.
+        step = 3 * maps.smallest.size + 3 * len(joints.links)
+        for budget in (spent // 20, spent // 4):
+            found, _, done, some = best_turn(*arguments, turns, np.inf, budget, False)
+            assert some <= budget + step and found < done
+            given_up += done == 0
+    assert clear > 0 and given_up > 0
 
 
 def test_a_turn_keeps_the_limits_and_ends_where_it_should(panda):
