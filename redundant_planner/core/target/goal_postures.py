@@ -27,7 +27,7 @@ _LAST_STEPS, _LEAST_DAMPING = 12, 1e-12
 _SETTLED, _AT_POSE = 1e-6, 1e-5
 # Steps along the null space to either side, how many at once, and their size [rad, m].
 _ASIDE, _AT_ONCE, _ASIDE_SIZE = 10, 5, 0.15
-# How near to the pose these have to end [m, rad]: the tip goes the rest in a line.
+# How near to the pose these have to end for steps of Levenberg and Marquardt [m, rad].
 _NEAR_POSE = 1e-3
 # Every other guess is this far from where the arm is, about [rad, m].
 _SPREAD = 0.5
@@ -84,16 +84,15 @@ def posture_at(space: FreeSpace, guess: Array, pose: Pose) -> Array | None:
         q = nodes[-1]
         if np.abs(nodes[-1] - nodes[-2]).max() < _SETTLED:
             break
-    q = _finished(space, q, pose)
-    return q if off_pose(robot, q, pose) < _AT_POSE else None
+    return finished(space, q, pose)
 
 
-def _finished(space: FreeSpace, q: Array, pose: Pose) -> Array:
-    """Return a posture (n,) that is at a pose, if one is near another posture (n,).
+def finished(space: FreeSpace, q: Array, pose: Pose) -> Array | None:
+    """Return a posture (n,) at a pose that is near another posture (n,), None where none is.
 
-    The steps before this one have a constant damping, and hardly get on near a singularity. Here
-    it is the square of what is left, which converges quadratically there, too (Levenberg and
-    Marquardt; Yamashita and Fukushima 2001).
+    The steps of a path of least norm have a constant damping, and hardly get on near a
+    singularity. Here it is the square of what is left, which converges quadratically there, too
+    (Levenberg and Marquardt; Yamashita and Fukushima 2001).
     """
     robot, joints = space.robot, space.joints
     for _ in range(_LAST_STEPS):
@@ -107,7 +106,7 @@ def _finished(space: FreeSpace, q: Array, pose: Pose) -> Array:
         damping = max(float(error @ error), _LEAST_DAMPING)
         step = scaled.T @ np.linalg.solve(scaled @ scaled.T + damping * np.eye(len(error)), error)
         q = np.clip(q + joints.scaling * step, joints.position_min, joints.position_max)
-    return q
+    return q if off_pose(robot, q, pose) < _AT_POSE else None
 
 
 def _neighbours(
@@ -124,11 +123,16 @@ def _neighbours(
                 null_space.decompose(jacobian * joints.scaling), way / joints.scaling)
             way /= max(math.sqrt(way @ way), _SETTLED)
             at = least_norm_path(robot, at + _ASIDE_SIZE * way, due, joints)[-1]
-            postures.append(at)
             space.spend(4)
+            off = off_pose(robot, at, pose)
+            if off < _AT_POSE:
+                postures.append(at)
+            elif off < _NEAR_POSE:
+                there = finished(space, at, pose)
+                postures += [] if there is None else [there]
+                yield []
             if step % _AT_ONCE == 0:
-                yield _places(
-                    space, [at for at in postures if off_pose(robot, at, pose) < _NEAR_POSE])
+                yield _places(space, postures)
                 postures = []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from itertools import pairwise
 
 from conftest import make_panda, PANDA_READY
@@ -18,7 +19,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import se3
 from redundant_planner.core.target.free_space import FreeSpace
-from redundant_planner.core.target.goal_postures import posture_at
+from redundant_planner.core.target.goal_postures import goal_postures, off_pose, posture_at
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.path_search import PathSearch
 
@@ -164,3 +165,21 @@ def test_goal_postures_are_found_near_singularities_too(goal):
     for q in found:
         assert np.abs(se3.pose_error(pose, tip(PANDA, q), False)).max() < 2e-5
         assert (q >= space.joints.position_min).all() and (q <= space.joints.position_max).all()
+
+
+@pytest.mark.parametrize('goal', [
+    PANDA_READY, (-0.42, 1.417, -2.432, -0.43, -2.724, 1.251, -1.796)],
+    ids=['ready', 'near singular'])
+def test_postures_along_the_null_space_are_right_at_the_goal(goal):
+    """Near a singularity a tip could not go the rest in a line."""
+    q = np.array(goal)
+    space, pose = space_among([]), tip(PANDA, q)
+    found = []
+    for places in itertools.islice(
+            goal_postures(space, q, pose, np.random.default_rng(3)), 200):
+        found += places or []
+    assert len(found) > 30 and space.spent > 0
+    for place in found:
+        assert off_pose(PANDA, place.q, pose) < 2e-5
+    # They are others than the posture that they begin from.
+    assert max(np.abs(place.q - q).max() for place in found) > 0.5
