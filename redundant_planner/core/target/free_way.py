@@ -259,6 +259,11 @@ class FreeWay:
         assert self._thought is not None and self._space is not None and self._way is not None
         self._age += start.dt
         self._look_age += start.dt
+        if self._goes_to_pose and not self.tried_line and self._search.way is None and (
+                self._age >= _LONGEST or self.out_of_reach):
+            # As near as it gets. To find a line is work enough for a tick.
+            self.stretch, self.tried_line = Stretch.LINE, True
+            return
         if self._look_age > self._until_news and self._search.way is None and (
                 space() is not self._space):
             self._begin(space())
@@ -284,10 +289,6 @@ class FreeWay:
             return
         if self._gives_way and self._age >= _PATIENT and self._search.way is None:
             self._search.step_aside()
-        if self._goes_to_pose and not self.tried_line and self._search.way is None and (
-                self._age >= _LONGEST or self.out_of_reach):
-            # As near as it gets.
-            self.stretch, self.tried_line = Stretch.LINE, True
 
     @property
     def in_vain(self) -> bool:
