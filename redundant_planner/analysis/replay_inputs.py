@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-import zlib
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +22,7 @@ from redundant_planner.io.preview_reader import read_preview
 from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import COMMAND_TIMEOUT, number_of, obstacle_topics
 from redundant_planner.io.recorded_inputs import sound_twist
-from redundant_planner.io.recorded_tick import RecordedTick, TickKind
+from redundant_planner.io.recorded_tick import checksum, RecordedTick, TickKind
 from redundant_planner.io.target_reader import read_joint_target, read_target
 
 Array = npt.NDArray[np.float64]
@@ -217,7 +216,7 @@ def _ticks_at(
         inputs.twists, inputs.obstacles[0], inputs.previews, inputs.attached, inputs.targets)]
     latest, known, announced, attached, aimed = (
         np.searchsorted(a, times, side='right') for a in arrivals)
-    more = [[(count, checksum(listed, count)) for count in np.searchsorted(
+    more = [[(count, checksum_at(listed, count)) for count in np.searchsorted(
         [at for at, _ in listed], times, side='right').tolist()]
         for listed in inputs.obstacles]
     ticks = []
@@ -237,6 +236,6 @@ def _ticks_at(
     return ticks
 
 
-def checksum(messages: list[tuple[float, bytes]], count: int) -> int:
+def checksum_at(messages: list[tuple[float, bytes]], count: int) -> int:
     """Return that of the latest of so many messages, 0 for none."""
-    return zlib.crc32(messages[count - 1][1]) if count else 0
+    return checksum(messages[count - 1][1]) if count else 0

@@ -6,6 +6,7 @@ import array
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
+import zlib
 
 import numpy as np
 import numpy.typing as npt
@@ -54,7 +55,7 @@ class RecordedTick(NamedTuple):
         q: (n,) measured posture [rad, m].
         target: that commands the arm in place of the twist; None for none.
         checked_messages: as `obstacle_messages`, of all topics with obstacles, each with the
-            CRC-32 of the latest one: a recorder may come later than the planner, or earlier.
+            `checksum` of the latest one: a recorder may come later than the planner, or earlier.
     """
 
     stamp_ns: int
@@ -137,3 +138,11 @@ def _parted(row: Array, n: int) -> tuple[Array, Target | None, Array]:
         target = checked_pose(Pose(pose[:3], pose[3:].reshape(3, 3)))
         row[3] -= _WITH_POSE
     return row, target, more
+
+
+def checksum(message: bytes) -> int:
+    """Return the CRC-32 of a serialised message.
+
+    Without the zeros at its end: one that has come from another process may have some more.
+    """
+    return zlib.crc32(message.rstrip(b'\0'))

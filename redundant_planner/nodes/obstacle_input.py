@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 import time
-import zlib
 
 import numpy as np
 
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.io.obstacle_sources import ObstacleSources
+from redundant_planner.io.recorded_tick import checksum
 from redundant_planner.nodes.guard import Guard
 
 # After each tick one message is read, and more while less than this share of the period is used.
@@ -79,7 +79,7 @@ class ObstacleInput:
         while self._waiting:
             topic, raw = self._waiting.popleft()
             self.read_counts[topic] += 1
-            self.last_read[topic] = zlib.crc32(raw)
+            self.last_read[topic] = checksum(raw)
             name = self._topics[topic]
             try:
                 for problem in self.tracker.update(raw, now, topic):

@@ -16,7 +16,7 @@ from rich.progress import track
 import yaml
 
 from redundant_planner.analysis.replay_inputs import (
-    checksum,
+    checksum_at,
     Inputs,
     rate_of,
     read_inputs,
@@ -178,7 +178,7 @@ def _read(
         heard = count - before if count >= before else count  # fewer: another planner began
         # A message that was not recorded changes nothing.
         end = next((end for end in range(place + 1, len(listed) + 1)
-                    if checksum(listed, end) == check), place) if heard else place
+                    if checksum_at(listed, end) == check), place) if heard else place
         read.append((max(place, end - heard), end))
     return read
 

@@ -55,6 +55,8 @@ def test_a_recorder_may_have_begun_before_the_planner(paper_runs):
     inputs.obstacles[0][:0] = [(0.0, bytes(serialize_message(markers_of(
         [Obstacle.box(f'unheard{i}', tip + [0.0, 0.0, 0.1 * i], [0.1] * 3)],
         inputs.robot.base_frame)))) for i in range(3)]
+    # Within a process a message has no zeros at its end that it has between two.
+    inputs.obstacles[0] = [(at, raw + bytes(3)) for at, raw in inputs.obstacles[0]]
     found = differences(inputs, again(inputs, parameters))
     assert len(found) > 500 and found.max() < 1e-9
 

@@ -15,6 +15,9 @@ from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.horizon.held_twist import continued, growth_of
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.least_norm_path import path_joints
+
+# The first preview must not have to load it in a tick.
+import redundant_planner.core.horizon.mean_twists  # noqa: F401
 from redundant_planner.core.horizon.poses_ahead import middles, node_times, poses_ahead
 from redundant_planner.core.horizon.preview import Preview, PreviewAhead, TwistAhead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import shown, StateError
-from redundant_planner.core.kernels import compiled, Matrix, Vector
 
 Array = npt.NDArray[np.float64]
 
@@ -78,7 +77,9 @@ class Preview:
         Not those of the middle: where the twist makes a step, what lies ahead would make one
         whenever a middle passes it.
         """
-        return _mean_twists(times, self.times, self.twists, self._integrals)
+        # Who only announces motions loads no compiler.
+        from redundant_planner.core.horizon.mean_twists import mean_twists
+        return mean_twists(times, self.times, self.twists, self._integrals)
 
     def ahead(self, now: float) -> PreviewAhead:
         """Return the preview as seen from a time `now` [s]: what `Planner.step` takes then."""
@@ -102,36 +103,6 @@ class Preview:
         """The integrals (k, 6) of the twists up to each point."""
         pieces = 0.5 * (self.twists[:-1] + self.twists[1:]) * np.diff(self.times)[:, None]
         return np.vstack((np.zeros(6), pieces.cumsum(axis=0)))
-
-
-@compiled
-def _mean_twists(times: Vector, points: Vector, twists: Matrix, integrals: Matrix) -> Array:
-    """Return the mean twists (N, 6) from each of ascending times (N + 1,) to the next [s].
-
-    Args:
-        times: [s].
-        points, twists: (k,) and (k, 6), see `Preview`.
-        integrals: (k, 6) of the twists up to each point.
-    """
-    means, reached, now = np.empty((len(times) - 1, 6)), np.zeros(6), np.empty(6)
-    last = len(points) - 2
-    before = 0
-    for i in range(len(times)):
-        now[:] = 0.0
-        if last >= 0:
-            while before < last and points[before + 1] <= times[i]:
-                before += 1
-            span = points[before + 1] - points[before]
-            elapsed = min(max(times[i] - points[before], 0.0), span)
-            share = elapsed / span if span > 0.0 else 0.0
-            for j in range(6):
-                step = twists[before + 1, j] - twists[before, j]
-                now[j] = integrals[before, j] + elapsed * (
-                    twists[before, j] + 0.5 * share * step)
-        if i > 0:
-            means[i - 1] = (now - reached) / (times[i] - times[i - 1])
-        reached[:] = now
-    return means
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ _BEYOND = 0.01
 # What the distance of another shape costs, in distances of ellipsoids: mostly a bound will do;
 # and what it costs to look which of a link's pairs need one.
 _COST_OF_OTHERS, _COST_OF_LINK = 3, 3
+# More than any turn takes.
 _NO_BOUND = 2**62
 
 

@@ -27,7 +27,7 @@ _LAST_STEPS, _LEAST_DAMPING = 12, 1e-12
 _SETTLED, _AT_POSE = 1e-6, 1e-5
 # Steps along the null space to either side, how many at once, and their size [rad, m].
 _ASIDE, _AT_ONCE, _ASIDE_SIZE = 10, 5, 0.15
-# How near to the pose these have to end for steps of Levenberg and Marquardt [m, rad].
+# How near to the pose these have to end to be led right to it [m, rad].
 _NEAR_POSE = 1e-3
 # Every other guess is this far from where the arm is, about [rad, m].
 _SPREAD = 0.5
@@ -84,10 +84,10 @@ def posture_at(space: FreeSpace, guess: Array, pose: Pose) -> Array | None:
         q = nodes[-1]
         if np.abs(nodes[-1] - nodes[-2]).max() < _SETTLED:
             break
-    return finished(space, q, pose)
+    return _finished(space, q, pose)
 
 
-def finished(space: FreeSpace, q: Array, pose: Pose) -> Array | None:
+def _finished(space: FreeSpace, q: Array, pose: Pose) -> Array | None:
     """Return a posture (n,) at a pose that is near another posture (n,), None where none is.
 
     The steps of a path of least norm have a constant damping, and hardly get on near a
@@ -128,7 +128,7 @@ def _neighbours(
             if off < _AT_POSE:
                 postures.append(at)
             elif off < _NEAR_POSE:
-                there = finished(space, at, pose)
+                there = _finished(space, at, pose)
                 postures += [] if there is None else [there]
                 yield []
             if step % _AT_ONCE == 0:
