@@ -103,6 +103,7 @@ def test_to_a_pose_and_on_from_there_and_its_bag_replays(ros, tmp_path):
 
     # From there 5 cm along the hand's own z: what the tip's frame means.
     go(ros, pose((0.0, 0.0, 0.05), np.eye(3), 'panda_hand'), 'reached')
+    ros.wait_for(ros.at_rest, 'rest')
     np.testing.assert_allclose(
         tip(ros).tip_position, goal + 0.05 * turned[:, 2], atol=1e-3)
 
