@@ -56,6 +56,11 @@ class CommandPacer:
         """Return whether the next tick may begin [s]; not before the first has."""
         return now + self._lead >= self._due + self._period
 
+    @property
+    def left(self) -> float:
+        """Time until the next tick may begin [s]; infinite before the first has."""
+        return self._due + self._period - self._lead - time.monotonic()
+
     def wait(self) -> None:
         """Wait until the command is due; not before the first tick has begun."""
         begin = time.monotonic()

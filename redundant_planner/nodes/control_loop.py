@@ -149,7 +149,7 @@ class ControlLoop:
         """Command the arm once; an unforeseen exception brings it to rest.
 
         Returns:
-            Whether this tick had obstacles to read besides.
+            Whether there are or were obstacles to read besides.
         """
         begin = time.perf_counter()
         messages = [
@@ -323,13 +323,21 @@ class ControlLoop:
                 self.attached.read_counts[0], twist, posture, target, obstacles).numbers())
 
     def _read_obstacles(self) -> bool:
-        """Read messages on obstacles and attached that wait; return whether there were any."""
+        """Read messages on obstacles and attached, unless they must wait for longer.
+
+        Returns:
+            Whether there were any.
+        """
         holds = self.attached.read(self.now)
         self._payload.tracker.expire(self.now)
         self._hold()
+        if self.obstacles.put_off(self.pacer.left):
+            return True
+        begin = time.perf_counter()
         if not self.obstacles.read(self.now):
             return holds
         self.planner.prepare(self.obstacles.scene)
+        self.obstacles.took = time.perf_counter() - begin
         return True
 
     def _hold(self) -> None:

@@ -17,6 +17,8 @@ from redundant_planner.nodes.guard import Guard
 _SHARE = 0.1
 # Messages that may wait, as many as a subscriber of that depth would keep.
 _MOST_WAITING = 100
+# For how many ticks messages are put off at most.
+_MOST_TIMES = 2
 
 
 class ObstacleInput:
@@ -27,6 +29,7 @@ class ObstacleInput:
         read_counts: messages so far that were read or dropped, of each topic.
         last_read: checksums of the latest ones, 0 before the first.
         read_at: when the latest message was read [s]; −∞ before the first.
+        took: how long the latest ones took, with all that follows from them [s]; the loop says so.
     """
 
     def __init__(
@@ -47,7 +50,9 @@ class ObstacleInput:
         self.read_counts = [0] * len(topics)
         self.last_read = [0] * len(topics)
         self.read_at = -np.inf
-        self._budget = _SHARE * period
+        self.took = 0.0
+        self._period, self._budget = period, _SHARE * period
+        self._times_put_off = 0
         self._guard = guard
         self._warn = warn
         self._waiting: deque[tuple[int, bytes]] = deque()
@@ -65,6 +70,22 @@ class ObstacleInput:
             self._warn(f'{self._topics[oldest]} come faster than the planner reads them: it '
                        f'dropped the oldest of {_MOST_WAITING} messages')
         self._waiting.append((topic, raw))
+
+    def put_off(self, left: float) -> bool:
+        """Return whether messages wait that had better be read after the next tick.
+
+        They would delay it, if they take as long as the last ones did. After a few ticks they wait
+        no longer.
+
+        Args:
+            left: time until the next tick [s].
+        """
+        if (not self._waiting or not left < self.took < self._period
+                or self._times_put_off == _MOST_TIMES):
+            self._times_put_off = 0
+            return False
+        self._times_put_off += 1
+        return True
 
     def read(self, now: float) -> bool:
         """Read the oldest messages, at least one, as time allows; return whether there were any.

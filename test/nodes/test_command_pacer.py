@@ -62,3 +62,13 @@ def test_who_is_early_waits_and_who_is_late_does_not():
     overdue.begin(time.monotonic() - 1.0)
     overdue.wait()
     assert overdue.waited == 0.0
+
+
+def test_what_is_left_until_the_next_tick():
+    beat = CommandPacer(10.0)
+    assert beat.left == np.inf
+    begin = time.monotonic()
+    beat.begin(begin)
+    assert 0.0 <= begin + 10.0 - time.monotonic() - beat.left + 0.1 < 0.2
+    assert not beat.is_due(time.monotonic() + beat.left - 0.01)
+    assert beat.is_due(time.monotonic() + beat.left + 0.01)
