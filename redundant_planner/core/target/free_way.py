@@ -29,8 +29,8 @@ from redundant_planner.core.target.path_search import PathSearch
 
 Array = npt.NDArray[np.float64]
 
-# Work of a tick, in distances: a millisecond; and in pieces, for those that measure nothing.
-_WORK, _PIECES = 1500, 60
+# Work of a tick, in distances: a millisecond; and what a piece of it costs besides.
+_WORK, _COST_OF_PIECE = 1500, 40
 # How long it looks for a way, at most, and how many attempts are enough [s].
 _LONGEST, _ROUNDS = 1.0, 4
 # After this time without a way a tick works a quarter as much [s].
@@ -271,10 +271,9 @@ class FreeWay:
         polygon = self._found
         if polygon is None:
             until = self._space.spent + (_WORK if self._age < _DILIGENT else _WORK // 4)
-            for _ in range(_PIECES):
-                if self._found is not None or self._space.spent >= until:
-                    break
+            while self._found is None and self._space.spent < until:
                 self._found = next(self._thought)
+                self._space.spent += _COST_OF_PIECE
         else:  # this tick has not worked yet
             now = space()
             looked_at = polygon[::max(len(polygon) // _LOOKS_AHEAD, 1)]
