@@ -33,8 +33,10 @@ def pose_of(what: str, numbers: Sequence[float] | Array) -> tuple[Array, Array]:
             'roll pitch yaw [rad] or a quaternion x y z w')
     if len(found) == 7:
         return found[:3], found[3:]
-    import pinocchio as pin  # which nodes that only read obstacles mostly do without
+    # Nodes that only read obstacles mostly do without Pinocchio.
+    import pinocchio as pin
+
+    from redundant_planner.core.robot.quaternions import quaternion_of
     roll, pitch, yaw = found[3:].tolist() if len(found) == 6 else (0.0, 0.0, 0.0)
-    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*(
+    return found[:3], quaternion_of(pin.rpy.rpyToMatrix(*(
         math.remainder(angle, 2.0 * math.pi) for angle in (roll, pitch, yaw))))
-    return found[:3], np.array(turned.coeffs())

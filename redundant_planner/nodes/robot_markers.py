@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from geometry_msgs.msg import Point
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.obstacles.clearance_gradients import surface_point
@@ -16,6 +15,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.shapes import HALF_SPACE
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.step_result import Nearest
 from redundant_planner.io.marker_shapes import upright_to
 from redundant_planner.nodes.messages import marker_of
@@ -74,7 +74,7 @@ class RobotMarkers:
         for start, end, shaft, cap in zip(
                 arm.segment_start, arm.segment_end, self._shafts, self._caps):
             _place(shaft, 0.5 * (start + end),
-                   pin.Quaternion(upright_to((end - start)[None])[0]).coeffs())
+                   quaternion_of(upright_to((end - start)[None])[0]))
             cap.points = [_point(start), _point(end)]
         self._line.points = []
         if nearest is not None:

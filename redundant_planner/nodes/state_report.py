@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.goal import Target
@@ -151,7 +151,7 @@ def progress_status(
 def _target_text(robot: Robot, target: Target) -> str:
     if isinstance(target, Pose):
         return ' '.join(f'{number:.6f}' for number in (
-            *target.position, *pin.Quaternion(target.rotation).coeffs()))
+            *target.position, *quaternion_of(target.rotation)))
     return ' '.join(f'{name}={position:.6f}'
                     for name, position in zip(robot.joint_names, target))
 

@@ -12,6 +12,7 @@ import viser
 
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.io.link_surfaces import LinkSurface
 from redundant_planner.io.marker_shapes import upright_to
 from redundant_planner.playground.measures import NearestPair
@@ -195,7 +196,7 @@ def _extended(points: deque[Array], point: Array) -> bool:
 
 def wxyz_of(rotation: Array) -> Array:
     """Return a rotation matrix (3, 3) as viser's quaternion (4,) w x y z."""
-    x, y, z, w = pin.Quaternion(rotation).coeffs()
+    x, y, z, w = quaternion_of(rotation)
     return np.array((w, x, y, z))
 
 

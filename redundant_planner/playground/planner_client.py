@@ -24,6 +24,7 @@ from redundant_planner.core.errors import PlannerError, StateError
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.goal import Target
 from redundant_planner.io.obstacle_sources import ObstacleSources
@@ -287,7 +288,7 @@ class PlannerClient:
         message.header.frame_id = self.robot.base_frame
         place, turn = message.pose.position, message.pose.orientation
         place.x, place.y, place.z = pose.position.tolist()
-        turn.x, turn.y, turn.z, turn.w = pin.Quaternion(pose.rotation).coeffs().tolist()
+        turn.x, turn.y, turn.z, turn.w = quaternion_of(pose.rotation).tolist()
         self._targets.publish(message)
 
     def pause(self, paused: bool) -> None:

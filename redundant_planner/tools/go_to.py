@@ -27,6 +27,7 @@ from std_srvs.srv import SetBool
 from redundant_planner.core.errors import known, PlannerError, StateError
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.progress import TargetState
@@ -148,7 +149,7 @@ class _Client:
         message.header.frame_id = frame
         place, turn = message.pose.position, message.pose.orientation
         place.x, place.y, place.z = pose.position.tolist()
-        turn.x, turn.y, turn.z, turn.w = pin.Quaternion(pose.rotation).coeffs().tolist()
+        turn.x, turn.y, turn.z, turn.w = quaternion_of(pose.rotation).tolist()
         self.target.publish(message)
 
     def is_of(self, status: DiagnosticStatus, target: Target) -> bool:

@@ -26,7 +26,7 @@ from redundant_planner.core.safety.limits import Limits
 Array = npt.NDArray[np.float64]
 
 # Squared damping of the way to a pose: near a singularity it takes some more steps [m²].
-_SQUARED_DAMPING = 1e-4
+SQUARED_DAMPING = 1e-4
 
 
 class PathJoints(NamedTuple):
@@ -64,7 +64,7 @@ def least_norm_path(robot: Robot, q: Array, poses: Poses, joints: PathJoints) ->
 
 
 @compiled
-def step_to_pose(orthogonal: Matrix, upper: Matrix, error: Vector) -> Array:
+def step_to_pose(orthogonal: Matrix, upper: Matrix, error: Vector, damping: float) -> Array:
     """Return the damped least-norm step Jᵀ (J Jᵀ + damping)⁻¹ e, (n,), of Jᵀ = Q [R; 0].
 
     With J Jᵀ = Rᵀ R: a Cholesky decomposition of Rᵀ R + damping, and two substitutions.
@@ -73,7 +73,7 @@ def step_to_pose(orthogonal: Matrix, upper: Matrix, error: Vector) -> Array:
     lower, dual = np.zeros((m, m)), np.empty(m)
     for i in range(m):
         for j in range(i + 1):
-            total = _SQUARED_DAMPING if i == j else 0.0
+            total = damping if i == j else 0.0
             for k in range(j + 1):
                 total += upper[k, i] * upper[k, j] - (
                     lower[i, k] * lower[j, k] if k < j else 0.0)
@@ -109,7 +109,7 @@ def least_norm_nodes(q: Vector, poses: Poses, chain: Chain, joints: PathJoints) 
         error = error_to(Pose(poses.position[i], poses.rotation[i]),
                          Pose(arm.tip_position, arm.tip_rotation), chain.rows, chain.in_tool)
         orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * joints.scaling)
-        step = step_to_pose(orthogonal, upper, error)
+        step = step_to_pose(orthogonal, upper, error, SQUARED_DAMPING)
         for j in range(len(q)):
             there = arm.q[j] + joints.scaling[j] * step[j]
             arm.q[j] = min(max(there, joints.position_min[j]), joints.position_max[j])

@@ -14,7 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.horizon.least_norm_path import PathJoints, step_to_pose
+from redundant_planner.core.horizon.least_norm_path import (
+    PathJoints,
+    SQUARED_DAMPING,
+    step_to_pose,
+)
 from redundant_planner.core.horizon.poses_ahead import error_to, Poses
 from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -114,7 +118,7 @@ def _followed(
             Pose(arms.tip_position[i], arms.tip_rotation[i]), chain.rows, chain.in_tool)
         largest = max(largest, np.abs(error).max())
         orthogonal, upper = null_space.orthogonal_factors(arms.jacobian[i] * scaling)
-        steps[i] = scaling * step_to_pose(orthogonal, upper, error)
+        steps[i] = scaling * step_to_pose(orthogonal, upper, error, SQUARED_DAMPING)
         base[i] = arms.q[i] + steps[i]
         for w in range(free):
             basis[i, w] = orthogonal[:, len(chain.rows) + w]

@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from redundant_planner.core.kernels import compiled, Matrix
 from redundant_planner.core.obstacles.obstacle import (
@@ -19,6 +18,7 @@ from redundant_planner.core.obstacles.obstacle import (
     Obstacle,
     SHAPES,
 )
+from redundant_planner.core.robot.quaternions import quaternion_of
 
 Array = npt.NDArray[np.float64]
 
@@ -109,7 +109,7 @@ class Scene:
     def obstacle(self, i: int) -> Obstacle:
         """Return one of the obstacles."""
         name, center, (x, y, z) = self.names[i], self.centers[i], self.half_extents[i].tolist()
-        place = {'orientation': pin.Quaternion(self.rotations[i]).coeffs(),
+        place = {'orientation': quaternion_of(self.rotations[i]),
                  'velocity': self.velocities[i],
                  'angular_velocity': self.angular_velocities[i]}
         shape = SHAPES[self.shapes[i]]

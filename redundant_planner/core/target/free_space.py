@@ -16,12 +16,29 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import RobotConstants
 from redundant_planner.core.horizon.least_norm_path import PathJoints
-from redundant_planner.core.kernels import entry, IndexPairs, Stack, Vector
+from redundant_planner.core.kernels import (
+    entry,
+    IndexPairs,
+    Indices,
+    kernel,
+    Matrix,
+    OutVector,
+    Stack,
+    Vector,
+)
 from redundant_planner.core.obstacles.clearance import is_contact, measure, Pairs
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.self_collision import write_link_distances
 from redundant_planner.core.obstacles.shapes import HALF_SPACE
-from redundant_planner.core.robot.cone import cone_room
+from redundant_planner.core.robot.cone import Cone, cone_room
+from redundant_planner.core.robot.kinematics import (
+    Chain,
+    fill,
+    JointPlaces,
+    Kinematics,
+    new_kinematics_compiled,
+    new_places,
+)
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
@@ -35,10 +52,9 @@ _STEPS_INTO_CONE, _ROOM_IN_CONE = 6, 0.1
 _TINY = 1e-12
 # Most room that is asked of pairs of links [m]: a Panda's hand is close to its link5 in most ways.
 _ROOM_OF_PAIRS = 2e-3
-# How many postures are looked at in one piece of work.
-AT_ONCE = 5
-# What a posture costs to look at besides its distances, in distances.
-_COST_OF_POSTURE = 60
+# What postures cost to look at besides their distances, each and together, and what a piece of
+# work costs at most, in distances: each takes about 0.1 µs.
+_COST_OF_POSTURE, _COST_OF_CALL, _PIECE = 40, 100, 1500
 
 
 class Place(NamedTuple):
@@ -53,6 +69,42 @@ class Place(NamedTuple):
     room: Array
 
 
+class _Around(NamedTuple):
+    """What keeps links from being anywhere.
+
+    Attributes:
+        obstacles: for links with their margin.
+        radii: (c,) with half the margin between links [m].
+        links: (p, 2) which of them can collide.
+        cone: that the tip stays in.
+        in_cone: whether it has to.
+        forgiven: (k,) what is added to the room, infinite for links that cannot move.
+    """
+
+    obstacles: InflatedObstacles
+    radii: Vector
+    links: IndexPairs
+    cone: Cone
+    in_cone: bool
+    forgiven: Vector
+
+
+class _Halving(NamedTuple):
+    """A motion that is halved until it is known to be free.
+
+    Attributes:
+        at: (s,) shares of the motion that have been looked at; its ends come first.
+        rooms: (s, k) there.
+        pieces: (t, 2) which of them are ends of a piece, in the order in which they are halved.
+        counts: (3,) how many have been looked at, have been halved, and there are.
+    """
+
+    at: Vector
+    rooms: Matrix
+    pieces: IndexPairs
+    counts: Indices
+
+
 class FreeSpace:
     """The postures at which one arm is free, among obstacles as they are at one moment.
 
@@ -64,6 +116,7 @@ class FreeSpace:
         robot: the arm.
         joints: how they are weighed and bounded.
         spent: the work done so far, in distances.
+        at_once: how many postures are looked at in one piece of work.
     """
 
     def __init__(
@@ -72,49 +125,43 @@ class FreeSpace:
     ) -> None:
         """Take a look at obstacles that are inflated for links with their margin."""
         self.robot, self.joints, self.spent = robot, joints, 0
-        self._constants, self._obstacles = constants, obstacles
+        self._constants = constants
         reach = [constants.lever_arm_bounds, constants.self_lever_arm_bounds]
-        self._cone = constants.cone if constants.cone.angle < math.pi else None
-        if self._cone is not None:
+        in_cone = constants.cone.angle < math.pi
+        if in_cone:
             # What turns, turns the tip's axis no faster.
             screws = robot.kinematics(np.zeros(robot.n)).joint_screws
             reach.append(np.linalg.norm(screws[3:], axis=0)[None])
         self._reach = np.vstack(reach)
-        self._fixed = ~self._reach.any(axis=1)
-        self._forgiven = np.zeros(len(self._reach))
+        self._around = _Around(
+            obstacles, constants.radii, constants.self_pairs, constants.cone, in_cone,
+            np.where(self._reach.any(axis=1), 0.0, np.inf))
         self._cost = obstacles.smallest.size + len(constants.self_pairs) + _COST_OF_POSTURE
+        self.at_once = max(_PIECE // self._cost, 1)
 
-    def spend(self, postures: int) -> None:
-        """Note work that was done on postures besides measuring them."""
-        self.spent += postures * _COST_OF_POSTURE // 2
+    def spend(self, distances: int) -> None:
+        """Note work that was done besides measuring, in distances."""
+        self.spent += distances
 
     def rooms(self, postures: Array) -> Array:
         """Return the room (N, k) at postures (N, n); infinite for links that cannot move."""
-        arms = self.robot.kinematics_along(postures)
-        self.spent += len(postures) * self._cost
-        found = _rooms(
-            arms.segment_start, arms.segment_end, self._obstacles, self._constants.radii,
-            self._constants.self_pairs, _AMPLE)
-        if self._cone is not None:
-            cosines = np.clip((arms.tip_rotation @ self._cone.axis) @ self._cone.direction, -1, 1)
-            found = np.column_stack((found, self._cone.angle - np.arccos(cosines)))
-        found[:, self._fixed] = np.inf
-        return np.asarray(found + self._forgiven)
+        self.spend(_COST_OF_CALL + len(postures) * self._cost)
+        return _rooms(postures, self.robot.chain, self._around, _AMPLE)
 
     @property
     def narrow(self) -> bool:
         """Whether the tip has to stay in a cone: few postures do, and random ones do not."""
-        return self._cone is not None
+        return self._around.in_cone
 
     def into_cone(self, q: Array) -> Array:
         """Return a posture (n,) near another one with the tip in its cone, or nearer to that."""
-        for _ in range(_STEPS_INTO_CONE if self._cone is not None else 0):
-            assert self._cone is not None
+        cone = self._around.cone
+        for _ in range(_STEPS_INTO_CONE if self.narrow else 0):
             arm = self.robot.kinematics(q)
-            room, gradient = cone_room(self._cone, arm.tip_rotation, arm.joint_screws)
-            if room > _ROOM_IN_CONE * self._cone.angle:
+            room, gradient = cone_room(cone, arm.tip_rotation, arm.joint_screws)
+            if room > _ROOM_IN_CONE * cone.angle:
                 break
-            missing = 2.0 * _ROOM_IN_CONE * self._cone.angle - room
+            missing = 2.0 * _ROOM_IN_CONE * cone.angle - room
             q = np.clip(q + missing / max(float(gradient @ gradient), _TINY) * gradient,
                         self.joints.position_min, self.joints.position_max)
         return q
@@ -135,11 +182,13 @@ class FreeSpace:
         Links found closer to each other than their margin may stay so, only not get closer: that
         counts as no room from here on.
         """
-        self._forgiven[:] = 0.0
+        forgiven = self._around.forgiven
+        forgiven[np.isfinite(forgiven)] = 0.0
         room = self.rooms(q[None])[0]
         pairs = slice(len(self._constants.lever_arm_bounds), None)
-        self._forgiven[pairs] = np.maximum(-room[pairs], 0.0)
-        return Place(q, room + self._forgiven)
+        forgiven[pairs] = np.where(
+            np.isfinite(forgiven[pairs]), np.maximum(-room[pairs], 0.0), np.inf)
+        return Place(q, room + forgiven)
 
     def nearest_obstacle(self, postures: Array) -> float:
         """Return the least room that any link has to an obstacle at postures (N, n) [m]."""
@@ -151,7 +200,8 @@ class FreeSpace:
 
         Walls do not count.
         """
-        centers = self._obstacles.centers.T[self._obstacles.shapes != HALF_SPACE]
+        obstacles = self._around.obstacles
+        centers = obstacles.centers.T[obstacles.shapes != HALF_SPACE]
         if not len(centers):
             return np.zeros(len(postures))
         arms = self.robot.kinematics_along(postures)
@@ -176,27 +226,16 @@ class FreeSpace:
         """
         least = np.minimum(needed, np.minimum(one.room, other.room))
         step = other.q - one.q
-        way, size = self._reach @ np.abs(step), float(np.abs(step).max(initial=0.0))
-        begin, end = np.zeros(1), np.ones(1)
-        before, after = one.room[None], other.room[None]
+        size = float(np.abs(step).max(initial=0.0))
+        way, halving = self._reach @ np.abs(step), _halving(one.room, other.room, size)
         while True:
-            span = end - begin
-            narrow = (span[:, None] * way > before + after).any(axis=1) & (
-                span * size > _FINEST)
-            if not narrow.any():
-                return True
-            begin, end, before, after = (
-                begin[narrow], end[narrow], before[narrow], after[narrow])
-            middle = 0.5 * (begin + end)
-            rooms = np.empty_like(before)
-            for first in range(0, len(middle), AT_ONCE):
-                part = slice(first, first + AT_ONCE)
-                rooms[part] = self.rooms(one.q + middle[part, None] * step)
-                if (rooms[part] < least).any():
-                    return False
-                yield
-            begin, end = np.concatenate((begin, middle)), np.concatenate((middle, end))
-            before, after = np.vstack((before, rooms)), np.vstack((rooms, after))
+            before = halving.counts[0]
+            blocked = _halve(one.q, step, size, way, least, halving, self.at_once,
+                             self.robot.chain, self._around, _AMPLE)
+            self.spend(self._cost * int(halving.counts[0] - before))
+            if blocked or halving.counts[1] == halving.counts[2]:
+                return not blocked
+            yield
 
     def joint_ranges(self, q: Array) -> tuple[Array, Array]:
         """Return the (low, high) positions (n,) to look in; joints without limits about q (n,)."""
@@ -210,30 +249,124 @@ class FreeSpace:
         return np.asarray(np.sqrt((apart * apart).sum(axis=-1)))
 
 
-@entry
-def _rooms(
-    start: Stack, end: Stack, obstacles: InflatedObstacles, radii: Vector, links: IndexPairs,
-    ample: float,
-) -> Array:
-    """Return the room (N, c + p) of links at N postures.
+def _halving(one: Array, other: Array, size: float) -> _Halving:
+    """Return a motion that has not been halved yet, from the rooms (k,) at its ends.
 
     Args:
-        start, end: (N, c, 3) their segments [m].
-        obstacles: for links with their margin.
-        radii: (c,) with half the margin between links [m].
-        links: (p, 2) which of them can collide.
+        one, other: the rooms.
+        size: of the motion, of the joint that moves furthest [rad, m].
+    """
+    pieces = 2 ** max(math.ceil(math.log2(max(size / _FINEST, 1.0))), 0)
+    found = _Halving(np.empty(pieces + 2), np.empty((pieces + 2, len(one))),
+                     np.empty((2 * pieces + 1, 2), dtype=np.intp), np.array((2, 0, 1)))
+    found.at[0], found.at[1] = 0.0, 1.0
+    found.rooms[0], found.rooms[1] = one, other
+    found.pieces[0] = 0, 1
+    return found
+
+
+class _Scratch(NamedTuple):
+    """Room for the numbers of one posture."""
+
+    arm: Kinematics
+    places: JointPlaces
+    pairs: Pairs
+    points: Stack
+
+
+@kernel
+def _new_scratch(q: Vector, chain: Chain, around: _Around) -> _Scratch:
+    """Return arrays for `_write_room`."""
+    shape = around.obstacles.smallest.shape
+    return _Scratch(
+        new_kinematics_compiled(q, len(chain.rows), len(chain.capsule_joint)), new_places(len(q)),
+        Pairs(np.empty(shape), np.empty(shape), np.empty(shape)),
+        np.empty((len(around.links), 2, 3)))
+
+
+@kernel
+def _write_room(
+    chain: Chain, around: _Around, ample: float, scratch: _Scratch, room: OutVector,
+) -> None:
+    """Write the room (k,) at the posture that is in the scratch's arm."""
+    arm, pairs, obstacles = scratch.arm, scratch.pairs, around.obstacles
+    fill(chain, scratch.places, arm)
+    measure(obstacles, arm.segment_start, arm.segment_end, 0.0, ample, pairs)
+    links = len(chain.capsule_joint)
+    room[:] = np.inf
+    for link in range(links):
+        for obstacle in range(pairs.distance.shape[1]):
+            if not is_contact(obstacles, link, obstacle):
+                room[link] = min(room[link], pairs.distance[link, obstacle])
+    ends = links + len(around.links)
+    write_link_distances(arm.segment_start, arm.segment_end, around.radii, around.links,
+                         room[links:ends], scratch.points)
+    if around.in_cone:
+        cosine = 0.0
+        for i in range(3):
+            for j in range(3):
+                cosine += around.cone.direction[i] * arm.tip_rotation[i, j] * around.cone.axis[j]
+        room[ends] = around.cone.angle - math.acos(min(max(cosine, -1.0), 1.0))
+    for i in range(len(room)):
+        room[i] += around.forgiven[i]
+
+
+@entry
+def _rooms(postures: Matrix, chain: Chain, around: _Around, ample: float) -> Matrix:
+    """Return the room (N, k) of links at N postures (N, n).
+
+    Args:
+        postures: where the joints are.
+        chain: the arm.
+        around: what is in its way.
         ample: more than this need not be measured exactly [m].
     """
-    count, capsules = start.shape[0], start.shape[1]
-    rooms = np.full((count, capsules + len(links)), np.inf)
-    shape = obstacles.smallest.shape
-    pairs = Pairs(np.empty(shape), np.empty(shape), np.empty(shape))
-    points = np.empty((len(links), 2, 3))
-    for i in range(count):
-        measure(obstacles, start[i], end[i], 0.0, ample, pairs)
-        for link in range(capsules):
-            for obstacle in range(shape[1]):
-                if not is_contact(obstacles, link, obstacle):
-                    rooms[i, link] = min(rooms[i, link], pairs.distance[link, obstacle])
-        write_link_distances(start[i], end[i], radii, links, rooms[i, capsules:], points)
+    rooms = np.empty((len(postures), len(around.forgiven)))
+    scratch = _new_scratch(np.empty(postures.shape[1]), chain, around)
+    for i in range(len(postures)):
+        scratch.arm.q[:] = postures[i]
+        _write_room(chain, around, ample, scratch, rooms[i])
     return rooms
+
+
+@entry
+def _halve(
+    start: Vector, step: Vector, size: float, way: Vector, least: Vector, halving: _Halving,
+    most: int, chain: Chain, around: _Around, ample: float,
+) -> bool:
+    """Go on halving a motion; return whether it is blocked.
+
+    Args:
+        start, step: (n,) where it begins, and the way to its end.
+        size: of the motion, of the joint that moves furthest [rad, m].
+        way: (k,) how far links may come on it [m].
+        least: (k,) room that it has to have.
+        halving: the state, which is changed.
+        most: how many postures are looked at.
+        chain, around, ample: as of `_rooms`.
+    """
+    at, rooms, pieces, counts = halving.at, halving.rooms, halving.pieces, halving.counts
+    scratch, end = _new_scratch(start, chain, around), counts[0] + most
+    while counts[1] < counts[2]:
+        one, other = pieces[counts[1]]
+        span = at[other] - at[one]
+        narrow = False
+        for k in range(len(way)):
+            narrow = narrow or span * way[k] > rooms[one, k] + rooms[other, k]
+        if narrow and span * size > _FINEST:
+            middle = counts[0]
+            if middle == end:
+                return False
+            at[middle] = 0.5 * (at[one] + at[other])
+            for j in range(len(step)):
+                scratch.arm.q[j] = start[j] + at[middle] * step[j]
+            _write_room(chain, around, ample, scratch, rooms[middle])
+            for k in range(len(way)):
+                if rooms[middle, k] < least[k]:
+                    return True
+            last = counts[2]
+            pieces[last, 0], pieces[last, 1] = one, middle
+            pieces[last + 1, 0], pieces[last + 1, 1] = middle, other
+            counts[0], counts[2] = middle + 1, last + 2
+        counts[1] += 1
+    return False

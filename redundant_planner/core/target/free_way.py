@@ -21,7 +21,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Request
-from redundant_planner.core.target.free_space import AT_ONCE, FreeSpace
+from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal import Target
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.joint_way import JointWay
@@ -30,9 +30,9 @@ from redundant_planner.core.target.path_search import PathSearch
 Array = npt.NDArray[np.float64]
 
 # Work of a tick, in distances: a millisecond; and what a piece of it costs besides.
-_WORK, _COST_OF_PIECE = 1500, 40
+_WORK, _COST_OF_PIECE = 6500, 250
 # How long it looks for a way, at most, and how many attempts are enough [s].
-_LONGEST, _ROUNDS = 1.0, 4
+_LONGEST, _ROUNDS = 1.0, 6
 # After this time without a way a tick works a quarter as much [s].
 _DILIGENT = 5.0
 # Distances between control points of the curve, in turn until it is free [rad].
@@ -273,7 +273,7 @@ class FreeWay:
             until = self._space.spent + (_WORK if self._age < _DILIGENT else _WORK // 4)
             while self._found is None and self._space.spent < until:
                 self._found = next(self._thought)
-                self._space.spent += _COST_OF_PIECE
+                self._space.spend(_COST_OF_PIECE)
         else:  # this tick has not worked yet
             now = space()
             looked_at = polygon[::max(len(polygon) // _LOOKS_AHEAD, 1)]
@@ -322,9 +322,9 @@ class FreeWay:
                 break
             curve, free = JointCurve(points), True
             at = np.linspace(0.0, curve.spans, _LOOKS_PER_SPAN * curve.spans + 1)
-            for first in range(0, len(at), AT_ONCE):
+            for first in range(0, len(at), space.at_once):
                 free = free and not (
-                    space.rooms(curve.at(at[first:first + AT_ONCE])) < least).any()
+                    space.rooms(curve.at(at[first:first + space.at_once])) < least).any()
                 yield None
                 if not free:
                     break

@@ -13,7 +13,7 @@ from redundant_planner.core.target.profile import profile_of
 Array = npt.NDArray[np.float64]
 
 # Pieces of the way at which the joints are looked at: of each span, at least, and at most.
-_PIECES_PER_SPAN, _FEWEST_PIECES, _MOST_PIECES = 4, 12, 64
+_PIECES_PER_SPAN, _FEWEST_PIECES, _MOST_PIECES = 4, 12, 48
 # A way shorter than this is over [s at full speed].
 _OVER = 1e-9
 

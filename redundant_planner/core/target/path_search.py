@@ -8,6 +8,7 @@ ends. The random numbers are always the same, and so is the result.
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
+from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
@@ -31,9 +32,9 @@ _PRICE_OF_ASIDE = 0.01
 # Branches that a tree without goals grows between guesses.
 _LOOKS_AROUND = 10
 # Guesses at goal postures before each attempt, and how many postures are enough.
-_GUESSES, _GOALS = 15, 24
+_GUESSES, _GOALS = 60, 24
 # Guesses without any posture after which a pose counts as out of reach.
-_GUESSES_OUT_OF_REACH = 60
+_GUESSES_OUT_OF_REACH = 300
 # A straight motion to a goal that is further than the nearest by this share is as good.
 _AS_GOOD = 1.05
 # Longest branch that is tried at once [rad, joint weights included]: anywhere, and where the tip
@@ -41,10 +42,24 @@ _AS_GOOD = 1.05
 _BRANCH, _BRANCH_IN_CONE = 0.8, 0.2
 # Nodes after which both trees are given up: at first, and at last.
 _FEWEST_NODES, _MOST_NODES = 500, 4000
-# Attempts at a shortcut, and how many in vain end them.
-_SHORTCUTS, _IN_VAIN = 150, 40
-# A shortcut must save this share of the way.
-_LEAST_GAIN = 1e-3
+# Attempts at a shortcut and how many in vain end them, of any way and of one that may become the
+# best: one that costs less than this factor of it by then.
+_ROUGHLY, _THOROUGHLY, _PROMISES = (60, 20), (300, 60), 1.1
+# A shortcut must save this share of the way, and the least one about a corner takes this power of
+# a half of it.
+_LEAST_GAIN, _FINEST_CUT = 1e-3, 5.0
+
+
+class _Cut(Enum):
+    """What a shortcut leads to, in the order in which they are tried."""
+
+    TO_GOAL = 0
+    FROM_START = 1
+    TO_END = 2
+    CORNER = 3
+
+
+_CUTS = tuple(_Cut)
 
 
 class PathSearch:
@@ -96,7 +111,9 @@ class PathSearch:
                 continue
             way = yield from self._connected(room, most_nodes)
             if way is not None:
-                yield from self._shortened(way, room)
+                way = yield from self._shortened(way, room, *_ROUGHLY)
+                if self._price_of(way, room) < _PROMISES * self._price:
+                    yield from self._shortened(way, room, *_THOROUGHLY)
             self.rounds += self.way is not None
 
     @property
@@ -150,11 +167,15 @@ class PathSearch:
             yield from self._tree.grow(
                 self._random.uniform(*self._ranges), self._space.asked(_ROOMS[-1]))
 
+    def _price_of(self, way: Way, room: float) -> float:
+        """Return what a way with some room costs: its length, if nothing else counts."""
+        off = np.nan_to_num(way[-1].q - self._space.joints.preferred)
+        return self.length(way) * (1.0 if room == _ROOMS[0] else _PRICE_OF_GAPS) + (
+            self._space.joints.preference * float(np.linalg.norm(off)))
+
     def _note(self, way: Way, room: float) -> None:
         """Keep a way with some room if it is the best."""
-        off = np.nan_to_num(way[-1].q - self._space.joints.preferred)
-        price = self.length(way) * (1.0 if room == _ROOMS[0] else _PRICE_OF_GAPS) + (
-            self._space.joints.preference * float(np.linalg.norm(off)))
+        price = self._price_of(way, room)
         if price < self._price:
             self._price, self.room = price, room
             nearest = min(self._space.distance(self._start.q, goal.q) for goal in self._goals)
@@ -190,38 +211,70 @@ class PathSearch:
         return None
 
     def _shortened(
-        self, way: Way, room: float,
-    ) -> Generator[None, None, None]:
-        """Make a way shorter by straight motions with as much room."""
+        self, way: Way, room: float, attempts: int, most_in_vain: int,
+    ) -> Generator[None, None, Way]:
+        """Return a way that is shorter by straight motions with as much room.
+
+        They lead to another goal, from the start, to the end, or around a corner, however near.
+        """
         self._note(way, room)
-        needed, in_vain, goals = self._space.asked(room), 0, self._goals
-        for attempt in range(_SHORTCUTS):
-            if in_vain > _IN_VAIN or (len(way) == 2 and attempt > 4 * len(goals)):
+        needed, in_vain, along = self._space.asked(room), 0, self._along(way)
+        for attempt in range(attempts):
+            if in_vain > most_in_vain or (
+                    len(way) == 2 and attempt > len(_CUTS) * len(self._goals)):
                 break
-            along = self._along(way)
-            first, last = np.sort(self._random.uniform(0.0, along[-1], 2)).tolist()
-            kind = attempt % 4
-            before, one = self._point(way, along, 0.0 if kind == 1 else first)
-            if kind == 0:
-                after, other = len(way), goals[int(self._random.integers(len(goals)))]
-            else:
-                after, other = self._point(way, along, along[-1] if kind == 2 else last)
             in_vain += 1
-            # The ends of the way may have less room.
-            roomy = (kind == 1 or (one.room >= needed).all()) and (
-                kind in (0, 2) or (other.room >= needed).all())
-            shorter = [*way[:before + 1], one, other, *way[after + 1:]]
-            if roomy and self.length(shorter) < (1.0 - _LEAST_GAIN) * along[-1] and (
-                    yield from self._space.is_free_between(one, other, needed)):
-                way, in_vain = shorter, 0
+            shorter = yield from self._cut(way, along, _CUTS[attempt % len(_CUTS)], needed)
+            if shorter is not None:
+                way, along, in_vain = shorter, self._along(shorter), 0
                 self._note(way, room)
             yield
+        return way
 
-    def _point(self, way: Way, along: Array, at: float) -> tuple[int, Place]:
-        """Return the place at a length of a way, and the number of the node before it."""
+    def _cut(
+        self, way: Way, along: Array, cut: _Cut, needed: Array,
+    ) -> Generator[None, None, Way | None]:
+        """Return a way after a random shortcut; None if this one saves nothing or is not free.
+
+        Args:
+            way: as it is.
+            along: its length up to each of its places.
+            cut: what the shortcut leads to.
+            needed: (k,) the room that it shall have.
+        """
+        random, space, whole = self._random, self._space, float(along[-1])
+        begin, end = sorted(random.uniform(0.0, whole, 2).tolist())
+        if cut is _Cut.CORNER:
+            corner = float(along[int(random.integers(len(way)))])
+            size = whole * 2.0 ** -random.uniform(0.0, _FINEST_CUT)
+            begin, end = max(corner - size * random.uniform(), 0.0), min(
+                corner + size * random.uniform(), whole)
+        begin, end = (0.0 if cut is _Cut.FROM_START else begin,
+                      whole if cut in (_Cut.TO_GOAL, _Cut.TO_END) else end)
+        goal = (self._goals[int(random.integers(len(self._goals)))] if cut is _Cut.TO_GOAL else
+                way[-1])
+        before, from_q = self._point(way, along, begin)
+        after, to_q = self._point(way, along, end)
+        to_q = goal.q if end == whole else to_q
+        saved = (end - begin) - float(space.distance(from_q, to_q))
+        if saved < _LEAST_GAIN * whole:
+            return None
+        one = way[0] if begin == 0.0 else space.place(from_q)
+        other = goal if end == whole else space.place(to_q)
+        # The ends of the way may have less room.
+        roomy = (begin == 0.0 or (one.room >= needed).all()) and (
+            end == whole or (other.room >= needed).all())
+        if not roomy or not (yield from space.is_free_between(one, other, needed)):
+            return None
+        return [*(way[:before + 1] if begin > 0.0 else ()), one, other,
+                *(way[after + 1:] if end < whole else ())]
+
+    @staticmethod
+    def _point(way: Way, along: Array, at: float) -> tuple[int, Array]:
+        """Return the posture (n,) at a length of a way, and the number of the node before it."""
         i = min(int(np.searchsorted(along, at, side='right')) - 1, len(way) - 2)
         share = (at - along[i]) / max(along[i + 1] - along[i], np.finfo(float).tiny)
-        return i, self._space.place(way[i].q + share * (way[i + 1].q - way[i].q))
+        return i, way[i].q + share * (way[i + 1].q - way[i].q)
 
 
 class _Tree:

@@ -37,8 +37,10 @@ _SHORT = 0.02
 # Another target has the joints looked at again at once if it changes the way by more than this
 # share of its length.
 _NEWS = 0.1
-# Steps that a posture takes to settle at the target, and how near it has to come [m, rad].
-_SETTLING = 20
+# A posture settles at the target in so many times so many steps.
+_SETTLING, _STEPS_AT_ONCE = 5, 4
+# How near the way comes is looked at in every third node, and this is near enough [m, rad].
+_LOOKED_AT = 3
 _OUT_OF_REACH = 5e-3
 # A target that moves is followed while it is no further ahead than this [s at full speed].
 _CLOSE_BEHIND = 0.05
@@ -233,13 +235,13 @@ class StraightWay:
 
     def _miss(self, nodes: Array, target: Pose) -> float:
         """Return how near a way (K, n), or what settles from its end, comes to a target."""
-        due = poses_of([target])
+        due = poses_of([target] * _STEPS_AT_ONCE)
         nearest, q = off_pose(self._robot, nodes[-1], target), nodes[-1]
         if nearest < _OUT_OF_REACH:
             return nearest
-        nearest = min(off_pose(self._robot, node, target) for node in nodes)
+        nearest = min(off_pose(self._robot, node, target) for node in nodes[::-_LOOKED_AT])
         for _ in range(_SETTLING):
-            q = least_norm_path(self._robot, q, due, self._joints)[0]
+            q = least_norm_path(self._robot, q, due, self._joints)[-1]
             nearest = min(nearest, off_pose(self._robot, q, target))
             if nearest < _OUT_OF_REACH:
                 break

@@ -64,6 +64,21 @@ def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
     assert between > 0.0 if free else between < 0.01
 
 
+@settings(max_examples=30)
+@given(SEEDS)
+def test_a_motion_is_judged_alike_in_small_pieces_and_large_ones(seed):
+    random = np.random.default_rng(seed)
+    space = space_among(crowd(random))
+    one, other = (space.place(random.uniform(PANDA.position_min, PANDA.position_max))
+                  for _ in range(2))
+    needed, answers, work = space.asked(0.01), [], []
+    for space.at_once in (1, 1000):
+        before = space.spent
+        answers.append(answer(space.is_free_between(one, other, needed)))
+        work.append(space.spent - before)
+    assert answers[0] == answers[1] and work[0] == work[1]
+
+
 def test_obstacles_get_all_the_room_that_is_asked_for_and_pairs_of_links_less():
     """Such as a Panda's hand and its link5, which are close to each other in most motions."""
     random, space = np.random.default_rng(0), space_among([])

@@ -1,0 +1,127 @@
+"""Postures with the tip at a pose, and others on from each along the null space.
+
+The steps are Levenberg's and Marquardt's, damped by a share of the squared error that is left:
+they converge quadratically near a singularity, too (Yamashita and Fukushima 2001; Sugihara 2011).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.horizon.least_norm_path import PathJoints, step_to_pose
+from redundant_planner.core.horizon.poses_ahead import error_to
+from redundant_planner.core.kernels import entry, kernel, Matrix, Vector
+from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.robot.kinematics import (
+    Chain,
+    fill_tip,
+    JointPlaces,
+    Kinematics,
+    new_kinematics_compiled,
+    new_places,
+)
+from redundant_planner.core.robot.se3 import Pose
+
+Array = npt.NDArray[np.float64]
+
+# A posture is at a pose within this [m, rad].
+AT_POSE = 1e-5
+# Squared damping, as a share of the squared error, and the least of it [m²].
+_DAMPING, _LEAST_DAMPING = 0.01, 1e-12
+# Most steps; and a guess is given up where so many have not halved the squared error.
+_MOST_STEPS, _PATIENCE = 40, 5
+# A step along the null space that has become shorter than this share leads nowhere.
+_LEAST_SHARE = 1e-6
+
+
+class Solution(NamedTuple):
+    """What a guess has led to.
+
+    Attributes:
+        q: (n,) the posture [rad, m].
+        error: of the tip at its worst controlled axis [m, rad].
+        steps: that were taken.
+    """
+
+    q: Vector
+    error: float
+    steps: int
+
+
+@kernel
+def _solve(
+    arm: Kinematics, places: JointPlaces, pose: Pose, chain: Chain, joints: PathJoints,
+) -> tuple[float, int]:
+    """Lead an arm's posture to a pose; return the error at its worst axis, and the steps."""
+    squares = np.empty(_MOST_STEPS + 1)
+    for step in range(_MOST_STEPS + 1):
+        fill_tip(chain, places, arm)
+        error = error_to(pose, Pose(arm.tip_position, arm.tip_rotation), chain.rows,
+                         chain.in_tool)
+        worst, squares[step] = 0.0, 0.0
+        for value in error:
+            worst = max(worst, abs(value))
+            squares[step] += value * value
+        if worst < AT_POSE or step == _MOST_STEPS or (
+                step >= _PATIENCE and squares[step] > 0.5 * squares[step - _PATIENCE]):
+            break
+        orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * joints.scaling)
+        move = step_to_pose(
+            orthogonal, upper, error, max(_DAMPING * squares[step], _LEAST_DAMPING))
+        for j in range(len(move)):
+            there = arm.q[j] + joints.scaling[j] * move[j]
+            arm.q[j] = min(max(there, joints.position_min[j]), joints.position_max[j])
+    return worst, step
+
+
+@entry
+def solve(guess: Vector, pose: Pose, chain: Chain, joints: PathJoints) -> Solution:
+    """Return the posture that a guess (n,) leads to.
+
+    Its error is above `AT_POSE` where it leads elsewhere than to the pose.
+    """
+    arm = new_kinematics_compiled(guess, len(chain.rows), 0)
+    error, steps = _solve(arm, new_places(len(guess)), pose, chain, joints)
+    return Solution(arm.q, error, steps)
+
+
+@entry
+def self_motion(
+    q: Vector, pose: Pose, aside: Vector, size: float, count: int, chain: Chain,
+    joints: PathJoints,
+) -> Matrix:
+    """Return the postures (k, n) at a pose on from another one (n,) that has the tip there.
+
+    Args:
+        q: the first posture.
+        pose: of the tip.
+        aside: (n,) which way; its part in the null space counts.
+        size: of a step [rad, m].
+        count: how many postures at most. They end where a step does not lead back to the pose.
+        chain, joints: of the arm.
+    """
+    found, way = np.empty((count, len(q))), aside.copy()
+    arm, places = new_kinematics_compiled(q, len(chain.rows), 0), new_places(len(q))
+    fill_tip(chain, places, arm)
+    for k in range(count):
+        parts = null_space.decompose(arm.jacobian * joints.scaling)
+        way = joints.scaling * null_space.project(parts, way / joints.scaling)
+        length = 0.0
+        for value in way:
+            length += value * value
+        length = math.sqrt(length)
+        if length < _LEAST_SHARE:
+            return found[:k].copy()
+        for j in range(len(way)):
+            way[j] /= length
+            there = arm.q[j] + size * way[j]
+            arm.q[j] = min(max(there, joints.position_min[j]), joints.position_max[j])
+        error, _ = _solve(arm, places, pose, chain, joints)
+        if error >= AT_POSE:
+            return found[:k].copy()
+        found[k] = arm.q
+    return found
