@@ -45,8 +45,9 @@ Array = npt.NDArray[np.float64]
 
 # What has more room than this need not be measured exactly [m].
 _AMPLE = 0.3
-# Pieces of a motion shorter than this are not halved any more [rad, m].
-_FINEST = 0.02
+# Pieces of a motion shorter than this are not halved any more, and one that is longer than a
+# hundred turns counts as blocked, as nobody has the memory to look at it [rad, m].
+_FINEST, _LONGEST = 0.02, 630.0
 # Steps that lead a posture into the tip's cone, to this share of its angle inside.
 _STEPS_INTO_CONE, _ROOM_IN_CONE = 6, 0.1
 _TINY = 1e-12
@@ -227,6 +228,8 @@ class FreeSpace:
         least = np.minimum(needed, np.minimum(one.room, other.room))
         step = other.q - one.q
         size = float(np.abs(step).max(initial=0.0))
+        if size > _LONGEST:
+            return False
         way, halving = self._reach @ np.abs(step), _halving(one.room, other.room, size)
         while True:
             before = halving.counts[0]
@@ -256,7 +259,8 @@ def _halving(one: Array, other: Array, size: float) -> _Halving:
         one, other: the rooms.
         size: of the motion, of the joint that moves furthest [rad, m].
     """
-    pieces = 2 ** max(math.ceil(math.log2(max(size / _FINEST, 1.0))), 0)
+    # A little more than there are, whatever round-off does.
+    pieces = 2 ** math.ceil(math.log2(max(1.001 * size / _FINEST, 1.0)))
     found = _Halving(np.empty(pieces + 2), np.empty((pieces + 2, len(one))),
                      np.empty((2 * pieces + 1, 2), dtype=np.intp), np.array((2, 0, 1)))
     found.at[0], found.at[1] = 0.0, 1.0

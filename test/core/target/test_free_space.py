@@ -79,6 +79,13 @@ def test_a_motion_is_judged_alike_in_small_pieces_and_large_ones(seed):
     assert answers[0] == answers[1] and work[0] == work[1]
 
 
+def test_of_a_motion_of_a_thousand_turns_nobody_says_that_it_is_free():
+    space = space_among([])
+    here = space.place(PANDA_READY)
+    far = here._replace(q=PANDA_READY + np.array([6e3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert not answer(space.is_free_between(here, far, space.asked(0.01)))
+
+
 def test_obstacles_get_all_the_room_that_is_asked_for_and_pairs_of_links_less():
     """Such as a Panda's hand and its link5, which are close to each other in most motions."""
     random, space = np.random.default_rng(0), space_among([])
