@@ -40,6 +40,12 @@ def crowd(random):
                          random.uniform(0.05, 0.3, 3)) for i in range(4)]
 
 
+def two_places(space, random):
+    """Postures anywhere in the joints' ranges."""
+    return (space.place(random.uniform(PANDA.position_min, PANDA.position_max))
+            for _ in range(2))
+
+
 def answer(work):
     """What a generator returns at its end."""
     while True:
@@ -54,8 +60,7 @@ def answer(work):
 def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
     random = np.random.default_rng(seed)
     space = space_among(crowd(random))
-    one, other = (space.place(random.uniform(PANDA.position_min, PANDA.position_max))
-                  for _ in range(2))
+    one, other = two_places(space, random)
     if min(one.room.min(), other.room.min()) < 0.01:
         return
     needed = np.full(len(one.room), 0.01)
@@ -69,8 +74,7 @@ def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
 def test_a_motion_is_judged_alike_in_small_pieces_and_large_ones(seed):
     random = np.random.default_rng(seed)
     space = space_among(crowd(random))
-    one, other = (space.place(random.uniform(PANDA.position_min, PANDA.position_max))
-                  for _ in range(2))
+    one, other = two_places(space, random)
     needed, answers, work = space.asked(0.01), [], []
     for space.at_once in (1, 1000):
         before = space.spent
@@ -94,8 +98,7 @@ def test_obstacles_get_all_the_room_that_is_asked_for_and_pairs_of_links_less():
     np.testing.assert_array_equal(asked[:links], 0.01)
     np.testing.assert_array_equal(space.asked(1e-3), 1e-3)
     while found < 5:
-        one, other = (space.place(random.uniform(PANDA.position_min, PANDA.position_max))
-                      for _ in range(2))
+        one, other = two_places(space, random)
         between = space.rooms(np.linspace(one.q, other.q, 400)).min()
         if min(one.room.min(), other.room.min()) > 0.01 and 0.004 < between < 0.009:
             found += 1
