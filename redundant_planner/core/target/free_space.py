@@ -90,6 +90,24 @@ class _Around(NamedTuple):
     forgiven: Vector
 
 
+class _Motion(NamedTuple):
+    """A straight motion of the joints, and what it asks for.
+
+    Attributes:
+        start: (n,) where it begins [rad, m].
+        step: (n,) the way to its end.
+        size: of the joint that moves furthest [rad, m].
+        way: (k,) how far links may come on it [m].
+        least: (k,) room that it has to have.
+    """
+
+    start: Vector
+    step: Vector
+    size: float
+    way: Vector
+    least: Vector
+
+
 class _Halving(NamedTuple):
     """A motion that is halved until it is known to be free.
 
@@ -147,7 +165,7 @@ class FreeSpace:
     def rooms(self, postures: Array) -> Array:
         """Return the room (N, k) at postures (N, n); infinite for links that cannot move."""
         self.spend(_COST_OF_CALL + len(postures) * self._cost)
-        return _rooms(postures, self.robot.chain, self._around, _AMPLE)
+        return _rooms(postures, self.robot.chain, self._around)
 
     @property
     def narrow(self) -> bool:
@@ -230,11 +248,11 @@ class FreeSpace:
         size = float(np.abs(step).max(initial=0.0))
         if size > _LONGEST:
             return False
-        way, halving = self._reach @ np.abs(step), _halving(one.room, other.room, size)
+        motion = _Motion(one.q, step, size, self._reach @ np.abs(step), least)
+        halving = _halving(one.room, other.room, size)
         while True:
             before = halving.counts[0]
-            blocked = _halve(one.q, step, size, way, least, halving, self.at_once,
-                             self.robot.chain, self._around, _AMPLE)
+            blocked = _halve(motion, halving, self.at_once, self.robot.chain, self._around)
             self.spend(self._cost * int(halving.counts[0] - before))
             if blocked or halving.counts[1] == halving.counts[2]:
                 return not blocked
@@ -289,13 +307,11 @@ def _new_scratch(q: Vector, chain: Chain, around: _Around) -> _Scratch:
 
 
 @kernel
-def _write_room(
-    chain: Chain, around: _Around, ample: float, scratch: _Scratch, room: OutVector,
-) -> None:
+def _write_room(chain: Chain, around: _Around, scratch: _Scratch, room: OutVector) -> None:
     """Write the room (k,) at the posture that is in the scratch's arm."""
     arm, pairs, obstacles = scratch.arm, scratch.pairs, around.obstacles
     fill(chain, scratch.places, arm)
-    measure(obstacles, arm.segment_start, arm.segment_end, 0.0, ample, pairs)
+    measure(obstacles, arm.segment_start, arm.segment_end, 0.0, _AMPLE, pairs)
     links = len(chain.capsule_joint)
     room[:] = np.inf
     for link in range(links):
@@ -316,40 +332,36 @@ def _write_room(
 
 
 @entry
-def _rooms(postures: Matrix, chain: Chain, around: _Around, ample: float) -> Matrix:
+def _rooms(postures: Matrix, chain: Chain, around: _Around) -> Matrix:
     """Return the room (N, k) of links at N postures (N, n).
 
     Args:
         postures: where the joints are.
         chain: the arm.
         around: what is in its way.
-        ample: more than this need not be measured exactly [m].
     """
     rooms = np.empty((len(postures), len(around.forgiven)))
     scratch = _new_scratch(np.empty(postures.shape[1]), chain, around)
     for i in range(len(postures)):
         scratch.arm.q[:] = postures[i]
-        _write_room(chain, around, ample, scratch, rooms[i])
+        _write_room(chain, around, scratch, rooms[i])
     return rooms
 
 
 @entry
 def _halve(
-    start: Vector, step: Vector, size: float, way: Vector, least: Vector, halving: _Halving,
-    most: int, chain: Chain, around: _Around, ample: float,
+    motion: _Motion, halving: _Halving, most: int, chain: Chain, around: _Around,
 ) -> bool:
     """Go on halving a motion; return whether it is blocked.
 
     Args:
-        start, step: (n,) where it begins, and the way to its end.
-        size: of the motion, of the joint that moves furthest [rad, m].
-        way: (k,) how far links may come on it [m].
-        least: (k,) room that it has to have.
+        motion: what is halved.
         halving: the state, which is changed.
         most: how many postures are looked at.
-        chain, around, ample: as of `_rooms`.
+        chain, around: as of `_rooms`.
     """
     at, rooms, pieces, counts = halving.at, halving.rooms, halving.pieces, halving.counts
+    start, step, size, way, least = motion
     scratch, end = _new_scratch(start, chain, around), counts[0] + most
     while counts[1] < counts[2]:
         one, other = pieces[counts[1]]
@@ -364,7 +376,7 @@ def _halve(
             at[middle] = 0.5 * (at[one] + at[other])
             for j in range(len(step)):
                 scratch.arm.q[j] = start[j] + at[middle] * step[j]
-            _write_room(chain, around, ample, scratch, rooms[middle])
+            _write_room(chain, around, scratch, rooms[middle])
             for k in range(len(way)):
                 if rooms[middle, k] < least[k]:
                     return True

@@ -29,7 +29,7 @@ from redundant_planner.core.target.path_search import PathSearch
 
 Array = npt.NDArray[np.float64]
 
-# Work of a tick, in distances: a millisecond; and what a piece of it costs besides.
+# Work of a tick, in distances: about 0.7 ms; and what a piece of it costs besides.
 _WORK, _COST_OF_PIECE = 6500, 250
 # How long it looks for a way, at most, and how many attempts are enough [s].
 _LONGEST, _ROUNDS = 1.0, 6
