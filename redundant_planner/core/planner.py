@@ -219,7 +219,10 @@ class Planner:
         return self._look_ahead.guided
 
     def prepare(self, scene: Scene) -> None:
-        """Do the work of a scene new to `step` ahead of it, where there is time for that."""
+        """Choose from many obstacles ahead of the next `step`, where there is time for that.
+
+        It makes that one shorter, and changes nothing else.
+        """
         self._watch.prepare(scene, self._last.dq)
 
     def step(
@@ -264,7 +267,7 @@ class Planner:
 
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(
-            around.maps, around.q, around.range, aim.turn,
+            around.maps, around.start, around.end, around.range, aim.turn,
             last.dq if aim.path is None else aim.path,
             0.0 if aim.path is None else self._look_ahead.guided, self._observer.strayed)
         desired = wish(start, world, self._links, self._constants, self._limits, self._gains)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.kernels import entry, kernel, OutVector, Vector
+from redundant_planner.core.kernels import entry, kernel, Matrix, OutVector, Vector
 from redundant_planner.core.obstacles.clearance import is_contact, link_pair
 from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -58,7 +58,7 @@ class World(NamedTuple):
 
     Attributes:
         obstacles: the obstacles that can matter.
-        range_at, ranges: how far all others are, see `Surroundings`.
+        seen_start, seen_end, ranges: how far all others are, see `Surroundings`.
         turn: of the first joints, out of an obstacle's course.
         path: (n,) velocity of the joint path ahead; anything where it is not followed.
         guided: share of the homogeneous solution that follows it.
@@ -66,7 +66,8 @@ class World(NamedTuple):
     """
 
     obstacles: InflatedObstacles
-    range_at: Vector
+    seen_start: Matrix
+    seen_end: Matrix
     ranges: Vector
     turn: Turn
     path: Vector
@@ -254,7 +255,8 @@ def wish(
     links = Links(arm.segment_start, arm.segment_end, arm.joint_screws, constants.supports)
     near = near_pairs(
         obstacles, links, can.link_speeds, can.rate, gains.clearance_influence_distance,
-        unseen_distances(arm.q, constants.lever_arm_bounds, world.range_at, world.ranges))
+        unseen_distances(arm.segment_start, arm.segment_end, world.seen_start, world.seen_end,
+                         world.ranges))
     self_pairs = SelfPairs(constants.radii, constants.self_pairs, constants.self_supports,
                            constants.self_lever_arm_bounds)
     stopping = 0.5 * stopping_time(start.previous, limits.acceleration_max) * start.previous

@@ -176,7 +176,8 @@ class ControlLoop:
         elapsed = time.perf_counter() - begin - self.pacer.waited
         self.state.tick_times.append(elapsed)
         self.state.overruns += elapsed > self._period
-        return bool(self._guard.call('reading obstacles', self._read_obstacles))
+        moves = not decision.hold
+        return bool(self._guard.call('reading obstacles', self._read_obstacles, moves))
 
     def refuse_time(self, reason: str) -> None:
         """Have `brake_without_time` stop the arm: without time there are no ticks."""
@@ -322,8 +323,11 @@ class ControlLoop:
                 stamp_ns, self.now, kind, obstacles[0][0], self.command.previews, elapsed,
                 self.attached.read_counts[0], twist, posture, target, obstacles).numbers())
 
-    def _read_obstacles(self) -> bool:
+    def _read_obstacles(self, moves: bool) -> bool:
         """Read messages on obstacles and attached, unless they must wait for longer.
+
+        Args:
+            moves: whether the planner decided on this tick.
 
         Returns:
             Whether there were any.
@@ -331,14 +335,13 @@ class ControlLoop:
         holds = self.attached.read(self.now)
         self._payload.tracker.expire(self.now)
         self._hold()
-        if self.obstacles.put_off(self.pacer.left):
-            return True
-        begin = time.perf_counter()
-        if not self.obstacles.read(self.now):
-            return holds
-        self.planner.prepare(self.obstacles.scene)
-        self.obstacles.took = time.perf_counter() - begin
-        return True
+        begin, put_off = time.perf_counter(), self.obstacles.put_off(self.pacer.left)
+        read = not put_off and self.obstacles.read(self.now)
+        if moves:
+            self.planner.prepare(self.obstacles.scene)
+        if read:
+            self.obstacles.took = time.perf_counter() - begin
+        return holds or put_off or read
 
     def _hold(self) -> None:
         """Make what is attached by now a part of the arm, and no obstacle."""

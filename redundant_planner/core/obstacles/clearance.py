@@ -25,7 +25,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, kernel, Matrix, Stack, Vector
+from redundant_planner.core.kernels import compiled, kernel, Matrix, OutMatrix, Stack, Vector
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.shapes import (
     ELLIPSOID,
@@ -249,6 +249,24 @@ def measure_unless(
             pairs.parameter[link, obstacle] = t
 
 
+@kernel
+def bound_by_balls(
+    obstacles: InflatedObstacles, start: Matrix, end: Matrix, time: float, distance: OutMatrix,
+) -> None:
+    """Write how far links are from the balls around other shapes than ellipsoids (c, k) [m].
+
+    Without branches, so that it is done for several at once.
+    """
+    for link in range(len(start)):
+        here, there = place(start, link), place(end, link)
+        dx, dy, dz = there.x - here.x, there.y - here.y, there.z - here.z
+        for obstacle in range(len(obstacles.shapes)):
+            a, b, c = from_center(obstacles, obstacle, time, here.x, here.y, here.z)
+            away, _ = nearest_to_origin(a, b, c, dx, dy, dz)
+            distance[link, obstacle] = (
+                away - obstacles.corners[obstacle] - obstacles.inflation[link, obstacle])
+
+
 @compiled
 def measure(
     obstacles: InflatedObstacles, start: Matrix, end: Matrix, time: float, enough: float,
@@ -259,7 +277,7 @@ def measure(
     What is further away than `enough` [m], and than the nearest of all, may be given a bound
     from below.
     """
-    pairs.distance[:] = -np.inf
+    bound_by_balls(obstacles, start, end, time, pairs.distance)
     measure_unless(obstacles, start, end, time, enough, pairs)
 
 

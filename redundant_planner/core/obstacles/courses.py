@@ -98,10 +98,9 @@ def _least_on_course(
     x, y, z = obstacles.twists[:3, obstacle] * horizon
     a, b, c = from_center(obstacles, obstacle, 0.0, start.x, start.y, start.z)
     core = core_of(obstacles, obstacle)
-    corner = math.sqrt(core.x * core.x + core.y * core.y + core.z * core.z)
     apart = _segments_apart(
         Place(end.x - start.x, end.y - start.y, end.z - start.z), Place(x, y, z), Place(a, b, c))
-    apart -= corner + obstacles.inflation[link, obstacle]
+    apart -= obstacles.corners[obstacle] + obstacles.inflation[link, obstacle]
     if apart >= enough:
         return apart
     begin, way = segment_in_axes(obstacles, obstacle, 0.0, start, end)

@@ -27,7 +27,7 @@ from redundant_planner.core.kernels import (
     Vector,
 )
 from redundant_planner.core.obstacles.scene import Scene, surface_speeds
-from redundant_planner.core.obstacles.shapes import CAPSULE, ELLIPSOID, HALF_SPACE
+from redundant_planner.core.obstacles.shapes import CAPSULE, CYLINDER, ELLIPSOID, HALF_SPACE
 
 Array = npt.NDArray[np.float64]
 
@@ -84,6 +84,8 @@ class InflatedObstacles(NamedTuple):
         centers: (3, k) c [m].
         rotations: (3, 3, k) R.
         cores: (k, 3) half extents of what is inflated: of a capsule those of its segment [m].
+        corners: (k,) radius of the ball around the core [m]; infinite for half-spaces, nothing for
+            ellipsoids.
         inflation: (c, k) how far the surface is from the core [m]; nothing for ellipsoids.
         inverse: (c, 3, k) 1 / inflated semi-axes a [1/m]; nothing for other shapes.
         smallest: (c, k) smallest inflated half extent [m].
@@ -98,6 +100,7 @@ class InflatedObstacles(NamedTuple):
     centers: Matrix
     rotations: Stack
     cores: Matrix
+    corners: Vector
     inflation: Matrix
     inverse: Stack
     smallest: Matrix
@@ -148,7 +151,7 @@ def _inflated_obstacles(
     count, links = len(shapes), len(radii)
     cores, inflation = half_extents.copy(), np.empty((links, count))
     smallest, may_touch = np.empty((links, count)), np.zeros((links, count), np.bool_)
-    grown = np.empty((links, count))
+    grown, corners = np.empty((links, count)), np.empty(count)
     speeds = surface_speeds(half_extents, chosen.velocities, chosen.angular_velocities)
     for i in range(count):
         a, b, c = half_extents[i]
@@ -156,6 +159,11 @@ def _inflated_obstacles(
         if shapes[i] == CAPSULE:
             rounding = a
             cores[i, 0], cores[i, 1], cores[i, 2] = 0.0, 0.0, max(c - a, 0.0)
+        a_core, b_core, c_core = cores[i]
+        if shapes[i] == CYLINDER:
+            b_core = 0.0
+        corners[i] = np.inf if shapes[i] == HALF_SPACE else math.sqrt(
+            a_core * a_core + b_core * b_core + c_core * c_core)
         for link in range(links):
             may_touch[link, i] = shapes[i] == HALF_SPACE
             grown[link, i] = radii[link] + lead * speeds[i]
@@ -179,4 +187,5 @@ def _inflated_obstacles(
             for other in range(3):
                 rotations[axis, other, i] = chosen.rotations[i, axis, other]
     return InflatedObstacles(
-        shapes, centers, rotations, cores, inflation, inverse, smallest, may_touch, twists, speeds)
+        shapes, centers, rotations, cores, corners, inflation, inverse, smallest, may_touch,
+        twists, speeds)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, OutMatrix, Vector
 from redundant_planner.core.obstacles.clearance import (
+    bound_by_balls,
     core_of,
     is_contact,
     measure,
@@ -25,7 +26,7 @@ from redundant_planner.core.obstacles.clearance_gradients import (
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.selection import kth_smallest
 from redundant_planner.core.obstacles.shapes import along, ELLIPSOID, flat_stretch, signed_distance
-from redundant_planner.core.robot.kinematics import Chain, KinematicsAlong, Links
+from redundant_planner.core.robot.kinematics import Chain, KinematicsAlong, Links, way_of_link
 from redundant_planner.core.robot.se3 import place
 
 Array = npt.NDArray[np.float64]
@@ -265,16 +266,10 @@ class NearAlong(NamedTuple):
 
 
 @kernel
-def _apart(one: Vector, other: Vector) -> float:
-    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
-    return math.sqrt(x * x + y * y + z * z)
-
-
-@kernel
 def _bound_after(
     before: Matrix, arms: KinematicsAlong, at: int, ways: Vector, distance: OutMatrix,
 ) -> None:
-    """Write how near (c, k) links may be to obstacles at the most, from the posture before.
+    """Raise what bounds (c, k) distances from below to what the posture before tells of them.
 
     A distance falls by no more than the link's ends and the obstacle move.
 
@@ -282,13 +277,14 @@ def _bound_after(
         before: (c, k) what their distances were at least [m].
         arms, at: the postures, and which of them it is.
         ways: (k,) how far the obstacles move in between [m].
-        distance: (c, k) written [m].
+        distance: (c, k) raised [m].
     """
     for link in range(len(before)):
-        way = max(_apart(arms.segment_start[at - 1, link], arms.segment_start[at, link]),
-                  _apart(arms.segment_end[at - 1, link], arms.segment_end[at, link]))
+        way = way_of_link(link, arms.segment_start[at], arms.segment_end[at],
+                          arms.segment_start[at - 1], arms.segment_end[at - 1])
         for obstacle in range(len(ways)):
-            distance[link, obstacle] = before[link, obstacle] - way - ways[obstacle]
+            distance[link, obstacle] = max(
+                distance[link, obstacle], before[link, obstacle] - way - ways[obstacle])
 
 
 @compiled
@@ -313,8 +309,9 @@ def near_pairs_along(
     pairs = PairsAlong(np.empty(shape), np.empty(shape), np.empty(shape))
     distance = pairs.distance
     found, nearest = 0, np.inf
-    distance[0] = -np.inf
     for at in range(count):
+        bound_by_balls(
+            obstacles, arms.segment_start[at], arms.segment_end[at], times[at], distance[at])
         if at > 0:
             ways = obstacles.speeds * (times[at] - times[at - 1])
             _bound_after(distance[at - 1], arms, at, ways, distance[at])

@@ -1,10 +1,10 @@
 """Which of many obstacles can matter for a while; the rest is not looked at.
 
-A link's `distance` from an obstacle is 1-Lipschitz in its points (`clearance.py`), and no
-point of link c moves further than Σ_j b_cj |Δq_j|, with the lever arm bounds b. An obstacle that
-is further from every link than a range therefore stays out of that link's reach as long as
+A link's `distance` from an obstacle is 1-Lipschitz in its points (`clearance.py`), and no point
+of link c moves further than one of its ends s and e. An obstacle that is further from every link
+than a range therefore stays out of that link's reach as long as
 
-    Σ_j b_cj |q_j − q_j,then| ≤ range_c − reach_c          for every link c.
+    max(|s_c − s_c,then|, |e_c − e_c,then|) ≤ range_c − reach_c          for every link c.
 
 So does an obstacle that moves: its velocity counts in the reach, and a scene whose obstacles have
 been moved is another scene.
@@ -36,7 +36,7 @@ from redundant_planner.core.obstacles.inflation import inflated_obstacles, Infla
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.selection import kth_smallest
 from redundant_planner.core.obstacles.shapes import ELLIPSOID, HALF_SPACE, least_distance
-from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.kinematics import Kinematics, way_of_link
 from redundant_planner.core.robot.se3 import Place
 
 Array = npt.NDArray[np.float64]
@@ -50,6 +50,8 @@ MOST_AHEAD = 25
 _EXTRA_RANGE = 0.15
 # Where there are too many obstacles, they are chosen anew after this motion of a link [m].
 _MOTION_UNTIL_NEXT_CHOICE = 0.01
+# The share of either motion that is to be left when it is chosen ahead of time.
+_SPARE = 0.5
 # A bound from the ball around a shape that may be this much too low is made better [m].
 _LOOSE = 0.03
 _TINY = float(np.finfo(float).tiny)
@@ -64,7 +66,7 @@ class Surroundings(NamedTuple):
         maps: these, inflated.
         nearest: (a,) indices of those that are nearest, or soon can be, for what looks ahead.
         ahead: these, inflated.
-        q: (n,) posture at which it was decided.
+        start, end: (c, 3) the links' segments when it was decided [m].
         range: (c,) distance that all others had from each link [m]; infinite if there are none.
         crowded: whether some are left out that were within reach, for there are too many.
     """
@@ -74,7 +76,8 @@ class Surroundings(NamedTuple):
     maps: InflatedObstacles
     nearest: Indices
     ahead: InflatedObstacles
-    q: Array
+    start: Matrix
+    end: Matrix
     range: Array
     crowded: bool
 
@@ -83,32 +86,36 @@ class Surroundings(NamedTuple):
         """Whether all obstacles are among them."""
         return len(self.near) == len(self.scene.names)
 
-    def hold(self, scene: Scene, q: Array, lever_arm_bounds: Array, reach: Array) -> bool:
+    def hold(
+        self, scene: Scene, arm: Kinematics, reach: Array, *, to_spare: bool = False,
+    ) -> bool:
         """Return whether no other obstacle can be within reach at a posture.
 
         Where it is crowded, a little motion makes no difference.
 
         Args:
             scene: the obstacles now.
-            q: (n,) posture now.
-            lever_arm_bounds: (c, n) of the links [m/rad, 1].
+            arm: its posture now.
             reach: (c,) how near an obstacle must be to matter [m].
+            to_spare: whether that must be so with further motion to spare.
         """
-        return scene is self.scene and _holds(
-            lever_arm_bounds, q, self.q, reach, self.range, self.crowded)
+        if scene is not self.scene:
+            return False
+        return _hold(arm.segment_start, arm.segment_end, self.start, self.end, self.range, reach,
+                     self.crowded, _SPARE if to_spare else 0.0)
 
 
 @compiled
-def _holds(
-    lever_arm_bounds: Matrix, q: Vector, then: Vector, reach: Vector, limits: Vector,
-    crowded: bool,
+def _hold(
+    start: Matrix, end: Matrix, start_then: Matrix, end_then: Matrix, ranges: Vector,
+    reach: Vector, crowded: bool, spare: float,
 ) -> bool:
-    """Do what `Surroundings.hold` does, for the scene that it is about."""
-    for link in range(len(lever_arm_bounds)):
-        way = 0.0
-        for j in range(len(q)):
-            way += lever_arm_bounds[link, j] * abs(q[j] - then[j])
-        if way > _MOTION_UNTIL_NEXT_CHOICE if crowded else reach[link] + way > limits[link]:
+    """Do what `Surroundings.hold` does, with this share of the motion to spare."""
+    for link in range(len(ranges)):
+        may = ranges[link] - reach[link] - spare * _EXTRA_RANGE
+        if crowded:
+            may = (1.0 - spare) * _MOTION_UNTIL_NEXT_CHOICE
+        if way_of_link(link, start, end, start_then, end_then) > may:
             return False
     return True
 
@@ -134,17 +141,18 @@ class Kept(NamedTuple):
                                   margin=self.margin)
 
 
-def everything(scene: Scene, kept: Kept, q: Array) -> Surroundings:
+def everything(scene: Scene, kept: Kept, arm: Kinematics) -> Surroundings:
     """Take all obstacles of a small scene for what can matter, at any posture.
 
     Args:
         scene: the obstacles.
         kept: how far from them.
-        q: (n,) any posture.
+        arm: any posture of it.
     """
     maps, every = kept.inflated(scene), np.arange(len(scene.names))
     unbounded = np.full(len(kept.radii), np.inf)
-    return Surroundings(scene, every, maps, every, maps, q, unbounded, False)
+    return Surroundings(scene, every, maps, every, maps, arm.segment_start, arm.segment_end,
+                        unbounded, False)
 
 
 def surroundings(
@@ -170,8 +178,8 @@ def surroundings(
     if len(near) == len(scene.names):
         reaches.range[:] = np.inf
     return Surroundings(
-        scene, near, kept.inflated(scene, near), nearest, kept.inflated(scene, nearest), arm.q,
-        reaches.range + beyond, beyond < 0.0)
+        scene, near, kept.inflated(scene, near), nearest, kept.inflated(scene, nearest),
+        arm.segment_start, arm.segment_end, reaches.range + beyond, beyond < 0.0)
 
 
 class _Reaches(NamedTuple):

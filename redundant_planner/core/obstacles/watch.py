@@ -43,7 +43,7 @@ class ObstacleWatch:
         Raises:
             ParameterError: a contact is allowed to a link that the arm does not have.
         """
-        self._robot, self._limits = robot, limits
+        self._limits = limits
         self._constants, self._gains = constants, gains
         self._course = parameters.clearance_evasion_horizon
         self._contacts = AllowedContacts(parameters.allowed_contacts, robot)
@@ -61,16 +61,22 @@ class ObstacleWatch:
         self.chose = self._prepared = False
         # Of the last tick: where the arm was, and the tick's length.
         self._last: tuple[Kinematics, float] | None = None
+        # The scene and velocity that `prepare` has dealt with since then.
+        self._prepared_for: tuple[Scene, Array] | None = None
 
     def prepare(self, scene: Scene, previous: Array) -> None:
-        """Choose from a new scene, for the posture of the last tick and its velocity (n,)."""
-        if scene is self._scene:
+        """Choose what holds for a while from the last tick's posture and velocity (n,) on."""
+        if scene is not self._scene:
+            self._scene, self.fastest = scene, float(scene.speeds.max(initial=0.0))
+            self._prepared = False
+        done_for = self._prepared_for
+        if self._last is None or (
+                done_for and done_for[0] is scene and done_for[1] is previous):
             return
-        self._scene, self.fastest = scene, float(scene.speeds.max(initial=0.0))
-        if self._last is not None:
-            arm, dt = self._last
-            self._surroundings(scene, arm, previous, dt)
-            self._prepared = self.chose
+        arm, dt = self._last
+        self._surroundings(scene, arm, previous, dt, to_spare=True)
+        self._prepared = self._prepared or self.chose
+        self._prepared_for = scene, previous
 
     def look(self, scene: Scene, arm: Kinematics, previous: Array, dt: float) -> Surroundings:
         """Return the obstacles that can matter, for links with the clearance margin.
@@ -82,7 +88,7 @@ class ObstacleWatch:
             dt: [s].
         """
         self.prepare(scene, previous)
-        self._last = arm, dt
+        self._last, self._prepared_for = (arm, dt), None
         around = self._surroundings(scene, arm, previous, dt)
         self.chose, self._prepared = self.chose or self._prepared, False
         return around
@@ -103,17 +109,18 @@ class ObstacleWatch:
         return self._everywhere[1]
 
     def _surroundings(
-        self, scene: Scene, arm: Kinematics, previous: Array, dt: float,
+        self, scene: Scene, arm: Kinematics, previous: Array, dt: float, *,
+        to_spare: bool = False,
     ) -> Surroundings:
         around, self.chose = self._around, False
         if around is not None and around.scene is scene and around.complete:
             return around
         if len(scene.names) < FEW:
-            self._around = everything(scene, self._kept_from(scene), arm.q)
+            self._around = everything(scene, self._kept_from(scene), arm)
             return self._around
         near = reach(
             previous, self.fastest, self._limits, self._constants, self._gains, dt)
-        if around is None or not around.hold(scene, arm.q, self._robot.lever_arm_bounds, near):
+        if around is None or not around.hold(scene, arm, near, to_spare=to_spare):
             self.chose = True
             self._around = around = surroundings(
                 scene, self._kept_from(scene), arm, near, self._course)

@@ -241,6 +241,20 @@ def fill_kinematics(chain: Chain, arm: Kinematics) -> None:
 
 
 @kernel
+def _apart(one: Vector, other: Vector) -> float:
+    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def way_of_link(
+    link: int, start: Matrix, end: Matrix, start_then: Matrix, end_then: Matrix,
+) -> float:
+    """Return how far any point of a link's segment has moved at the most [m]: one of its ends."""
+    return max(_apart(start[link], start_then[link]), _apart(end[link], end_then[link]))
+
+
+@kernel
 def one_of(arms: KinematicsAlong, at: int) -> Kinematics:
     """Return the kinematics at one of several postures, as views."""
     return Kinematics(

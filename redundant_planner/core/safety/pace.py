@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.kernels import entry, kernel, Matrix, Vector
+from redundant_planner.core.robot.kinematics import way_of_link
 from redundant_planner.core.safety.limits import barrier_rate, Limits, stopping_time
 
 Array = npt.NDArray[np.float64]
@@ -66,19 +67,17 @@ def reach(
 
 @kernel
 def unseen_distances(
-    q: Vector, lever_arm_bounds: Matrix, range_at: Vector, ranges: Vector,
+    start: Matrix, end: Matrix, start_then: Matrix, end_then: Matrix, ranges: Vector,
 ) -> Array:
     """Return how near to a link an obstacle may be that is not looked at, (c,) [m].
 
     Args:
-        q: (n,) the posture.
-        lever_arm_bounds: (c, n) of the links.
-        range_at, ranges: where and what the surroundings' range is, see `Surroundings`.
+        start, end: (c, 3) the links' segments [m].
+        start_then, end_then, ranges: where and what the range was, see `Surroundings`.
     """
     unseen = ranges.copy()
     for link in range(len(unseen)):
-        for j in range(len(q)):
-            unseen[link] -= lever_arm_bounds[link, j] * abs(q[j] - range_at[j])
+        unseen[link] -= way_of_link(link, start, end, start_then, end_then)
     return unseen
 
 

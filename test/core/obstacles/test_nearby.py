@@ -41,15 +41,17 @@ def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach)
     arm = PANDA.kinematics(q)
     limit = np.full(len(RADII), reach) * random.uniform(0.5, 1.0, len(RADII))
     around = surroundings(scene, KEPT, arm, limit, COURSE)
-    assert around.hold(scene, q, PANDA.lever_arm_bounds, limit)
+    assert around.hold(scene, arm, limit, to_spare=True)
     left_out = ~np.isin(np.arange(60), around.near)
     for _ in range(20):
         q = q + step * random.normal(size=7) * 0.1
         arm = PANDA.kinematics(q)
         pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
-        if around.hold(scene, q, PANDA.lever_arm_bounds, limit):
+        if around.hold(scene, arm, limit):
             assert (pairs.distance[:, left_out] > limit[:, None] - 1e-9).all()
-    assert not around.hold(cloud(60, seed, speed=0.2), q, PANDA.lever_arm_bounds, limit)
+        else:
+            assert not around.hold(scene, arm, limit, to_spare=True)
+    assert not around.hold(cloud(60, seed, speed=0.2), arm, limit)
 
 
 @settings(deadline=None, max_examples=40)
@@ -166,3 +168,33 @@ def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch)
         assert scale == pytest.approx(all_scale, abs=1e-6) and stage == all_stage
     assert any(stage.name != 'DESIRED' for _, _, stage in quick)
     assert len(scene.names) > nearby.FEW
+
+
+@pytest.mark.parametrize('count', [60, 600])
+def test_to_prepare_changes_nothing_but_when_it_chooses(count, monkeypatch):
+    """Among few and among too many obstacles, with now and then a new scene."""
+    scenes = [cloud(count, seed, extent=2.0, speed=0.1) for seed in range(4)]
+    (start,) = random_postures(PANDA, 1, 3)
+    twists = 0.3 * np.random.default_rng(1).normal(size=(6, 6))
+    chosen_in = []
+
+    def noted(*arguments):
+        chosen_in.append(where)
+        return surroundings(*arguments)
+
+    monkeypatch.setattr('redundant_planner.core.obstacles.watch.surroundings', noted)
+    planners = [Planner(PANDA, PlannerParameters()) for _ in range(2)]
+    q = start
+    for i in range(240):
+        scene = scenes[i // 30 % 4]
+        where = 'prepare'
+        planners[0].prepare(scene)
+        where = 'step'
+        prepared = planners[0].step(q, twists[i // 40], scene, 0.004)
+        where = 'unprepared'
+        result = planners[1].step(q, twists[i // 40], scene, 0.004)
+        np.testing.assert_array_equal(prepared.dq, result.dq)
+        assert prepared.reason == result.reason
+        q = q + 0.004 * result.dq
+    assert chosen_in.count('step') == 1  # the first, before which there was no posture
+    assert chosen_in.count('prepare') == chosen_in.count('unprepared') - 1 > 7
