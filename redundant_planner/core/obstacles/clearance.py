@@ -253,10 +253,10 @@ def measure_unless(
 def bound_by_balls(
     obstacles: InflatedObstacles, start: Matrix, end: Matrix, time: float, distance: OutMatrix,
 ) -> None:
-    """Write how far links are from the balls around other shapes than ellipsoids (c, k) [m].
-
-    Without branches, so that it is done for several at once.
-    """
+    """Write how far links are from the balls around shapes (c, k) [m]; of ellipsoids anything."""
+    if np.all(obstacles.shapes == ELLIPSOID):
+        return
+    # Without branches, so that it is done for several at once.
     for link in range(len(start)):
         here, there = place(start, link), place(end, link)
         dx, dy, dz = there.x - here.x, there.y - here.y, there.z - here.z

@@ -322,9 +322,11 @@ def _bounds(
         is_wanted = beyond[i] <= deep or (
             beyond[i] <= 0.0 and distance[i] - wanted.course * speeds[i] <= soon)
         if shapes[i] == HALF_SPACE or (loose[i] > _LOOSE and is_wanted):
-            beyond[i], distance[i] = _axis_by_axis(
+            further, far = _axis_by_axis(
                 shapes[i], centers[i], rotations[i], half_extents[i], links.lead * speeds[i],
                 links)
+            # The ball around a box may say more than the box's faces, towards an edge of it.
+            beyond[i], distance[i] = max(beyond[i], further), max(distance[i], far)
     return beyond, distance
 
 
