@@ -63,6 +63,8 @@ class ObstacleWatch:
         self._last: tuple[Kinematics, float] | None = None
         # The scene and velocity that `prepare` has dealt with since then.
         self._prepared_for: tuple[Scene, Array] | None = None
+        # Velocity, the fastest obstacle, the tick's length, and the reach that follows from them.
+        self._reached: tuple[Array, float, float, Array] | None = None
 
     def prepare(self, scene: Scene, previous: Array) -> None:
         """Choose what holds for a while from the last tick's posture and velocity (n,) on."""
@@ -118,13 +120,20 @@ class ObstacleWatch:
         if len(scene.names) < FEW:
             self._around = everything(scene, self._kept_from(scene), arm)
             return self._around
-        near = reach(
-            previous, self.fastest, self._limits, self._constants, self._gains, dt)
+        near = self._reach(previous, dt)
         if around is None or not around.hold(scene, arm, near, to_spare=to_spare):
             self.chose = True
             self._around = around = surroundings(
                 scene, self._kept_from(scene), arm, near, self._course)
         return around
+
+    def _reach(self, previous: Array, dt: float) -> Array:
+        """Return what `reach` does: the same twice in a tick, for `prepare` and for `look`."""
+        known = self._reached
+        if known is None or known[0] is not previous or known[1:3] != (self.fastest, dt):
+            known = self._reached = previous, self.fastest, dt, reach(
+                previous, self.fastest, self._limits, self._constants, self._gains, dt)
+        return known[3]
 
     def _kept_from(self, scene: Scene) -> Kept:
         return self._kept._replace(contacts=self._contacts.among(scene.names))
