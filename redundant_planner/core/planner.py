@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.constants import gains_of, joint_weights, limits_of, robot_constants
 from redundant_planner.core.errors import known, ParameterError, StateError
+from redundant_planner.core.horizon.evasive_plan import Aside, EvasivePlan
 from redundant_planner.core.horizon.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.obstacles.clearance import pseudo_distance
@@ -26,7 +27,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.redundancy.command import limited_twist
-from redundant_planner.core.redundancy.reference import followed_pose, Start
+from redundant_planner.core.redundancy.reference import followed_pose, Start, Task
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -55,6 +56,8 @@ _MOST_WAITING = 2
 # What is said while the arm is on a free way back to its path, and where jerk is not limited.
 _BACK = 'the arm comes back to its path'
 _JERK_GIVES_WAY = 'jerk gives way to a clearance'
+# How fast the reference pose catches up with a tip that evades along the path [1/s].
+_CATCHING_UP = 5.0
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
 _RUSH = 0.1
 
@@ -88,7 +91,9 @@ class _Aim(NamedTuple):
         commanded: whether the tip is to move.
         joints: what the joints are to do on a free way; None where the tip keeps to a path.
         turn: of the first joints, out of the course of what moves.
+        aside: out of the way of what moves; None where there is no need, or no way.
         path: (n,) velocity of the joint path ahead; None where there is none.
+        guided: share of the null-space motion that follows it.
         says: the part of the reason that tells of it.
     """
 
@@ -96,7 +101,9 @@ class _Aim(NamedTuple):
     commanded: bool
     joints: JointMotion | None
     turn: Turn
+    aside: Aside | None
     path: Array | None
+    guided: float
     says: str
 
 
@@ -106,8 +113,9 @@ class Planner:
     The same sequence of inputs gives the same sequence of outputs. Between ticks it remembers:
     the last tick (its velocity, the reference pose, how much of the path was followed), when the
     links were last measured against each other, the obstacles near the arm (`ObstacleWatch`),
-    the joint path ahead (`LookAhead`), the way to its target (`Way`), the turn that evades
-    something (`Evasion`), and whether it has to come back from there (`ComingBack`).
+    the joint path ahead (`LookAhead`), the way to its target (`Way`), the joint path past what
+    moves (`EvasivePlan`), the turn that evades it where there is none (`Evasion`), and whether
+    it has to come back from there (`ComingBack`).
     """
 
     def __init__(
@@ -158,6 +166,7 @@ class Planner:
         self._way = Way(robot, parameters, limits, constants, gains)
         self._back = ComingBack(robot, constants)
         self._evasion = Evasion(robot, parameters)
+        self._evasive = EvasivePlan(robot, constants, limits, gains)
         self._way_out = LastWayOut(robot, constants, limits, parameters.singularity_margin)
         self._watch, self._slow_down = watch, slow_down
         drive = parameters.drive_lag, parameters.drive_dead_time
@@ -201,6 +210,7 @@ class Planner:
         self._way.reset()
         self._back.reset()
         self._evasion.reset()
+        self._evasive.reset()
         self._way_out.forget()
         self._watch.reset()
 
@@ -268,19 +278,21 @@ class Planner:
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(
             around.maps, around.start, around.end, around.range, aim.turn,
-            last.dq if aim.path is None else aim.path,
-            0.0 if aim.path is None else self._look_ahead.guided, self._observer.strayed)
+            last.dq if aim.path is None else aim.path, aim.guided, self._observer.strayed)
         desired = wish(start, world, self._links, self._constants, self._limits, self._gains)
 
         # Guard: every limit and barrier, docs/safety.md.
         crowded = joints is None and self._switch(desired, around, aim.commanded, dt)
         result, reason = Filtered.untouched(desired.dq), ''
+        leaves = aim.aside is not None and aim.aside.leaves
         if joints is not None:
             desired = desired._replace(dq=joints.wanted)
             result = Filtered.untouched(desired.dq)
-        if self._filtered and (joints is not None or not desired.admissible):
-            result = self._filter(desired, start, joints)
-            reason = self._reason(result, desired, around, start, aim.commanded)
+        elif aim.aside is not None and leaves:
+            desired = desired._replace(dq=aim.aside.velocity)
+        if self._filtered and (joints is not None or leaves or not desired.admissible):
+            result = self._filter(desired, start, joints, leaves=leaves)
+            reason = self._reason(result, desired, around, aim)
         result, slower = self._slow_down.slowed(
             result, scene, arm, start.previous, dt * self._limits.acceleration_max)
         fallbacks = '; '.join(self._fallbacks(
@@ -322,16 +334,26 @@ class Planner:
                 free=target is None)
             start, commanded = start._replace(command=command), bool(command.any())
             says = '; '.join(filter(None, (_BACK if target is None else '', self._way.lacks)))
-        turn = self._turn(start, around)
+        aside = self._aside(start, around) if joints is None else None
+        if aside is None:
+            turn = self._turn(start, around)
+        else:
+            self._evasion.reset()
+            turn = NO_TURN
         if joints is None:
             path = self._look_ahead.velocity(
-                start, around.ahead, ahead, busy=self._evasion.spent > _MANY_DISTANCES,
+                start, around.ahead, ahead,
+                busy=aside is not None or self._evasion.spent > _MANY_DISTANCES,
                 chose=self._watch.chose)
-            return _Aim(start, commanded, None, turn, path, says)
+            guided = 0.0 if path is None else self._look_ahead.guided
+            if aside is not None and not aside.leaves:
+                path, guided = aside.velocity, 1.0
+            return _Aim(start, commanded, None, turn, aside, path, guided, says)
         # What the joints do is given: the tip's path is not kept, nor its null space used.
         self._look_ahead.reset()
         pose = Pose(start.arm.tip_position, start.arm.tip_rotation)
-        return _Aim(start._replace(reference=pose), commanded, joints, turn, None, says)
+        return _Aim(
+            start._replace(reference=pose), commanded, joints, turn, None, None, 0.0, says)
 
     def _remember(
         self, result: Filtered, desired: Wish, start: Start, by_joints: bool, by_target: bool,
@@ -405,11 +427,23 @@ class Planner:
             self._window = dt, window_of(self._reversal_time, dt) if self._filtered else 1
         return self._window[1]
 
+    @property
+    def _evades(self) -> bool:
+        """Whether the arm may leave its path for something that moves."""
+        p = self._parameters
+        return (self._watch.fastest > 0.0 and self._filtered and p.path_priority != 'strict'
+                and p.clearance_evasion_horizon > 0.0)
+
+    def _aside(self, start: Start, around: Surroundings) -> Aside | None:
+        """Return how to get out of the way of what moves."""
+        if not self._evades:
+            self._evasive.reset()
+            return None
+        return self._evasive.aside(start, around.ahead)
+
     def _turn(self, start: Start, around: Surroundings) -> Turn:
         """Return the turn of the first joints out of the course of what moves."""
-        p = self._parameters
-        if not (self._watch.fastest > 0.0 and self._filtered and p.path_priority != 'strict'
-                and p.clearance_evasion_horizon > 0.0):
+        if not self._evades:
             self._evasion.reset()
             return NO_TURN
         # A path is rarely overdue; obstacles may have to be chosen in each tick.
@@ -454,27 +488,52 @@ class Planner:
         return fallbacks
 
     def _filter(
-        self, desired: Wish, start: Start, joints: JointMotion | None,
+        self, desired: Wish, start: Start, joints: JointMotion | None, *, leaves: bool,
     ) -> Filtered:
         """Return the velocity nearest to the desired one that breaks no limit and no barrier."""
         p, task, limits = self._parameters, desired.task, self._limits
+        jacobian = start.arm.jacobian
         if desired.unseen_share < 1.0:
             limits = limits._replace(velocity_max=slowed_limits(
                 start.previous, limits.velocity_max, limits.acceleration_max,
                 desired.unseen_share, start.dt))
-        if joints is None:
+        barriers = without_null_space(desired.barriers)
+        if joints is not None:
+            request = joints.request(start.arm.q, start.previous)
+        elif leaves:
+            twist = jacobian @ desired.dq
+            request = Request(desired.dq, jacobian, twist, twist, np.zeros_like(twist),
+                              start.arm.q, start.previous)
+        else:
             request = Request(
-                desired.dq, start.arm.jacobian, task.commanded + task.feedback, task.feedback,
+                desired.dq, jacobian, task.commanded + task.feedback, task.feedback,
                 task.turning, start.arm.q, start.previous)
             barriers = desired.barriers
-        else:
-            request = joints.request(start.arm.q, start.previous)
-            barriers = without_null_space(desired.barriers)
-        return safe_velocity(
+        result = safe_velocity(
             request, limits, barriers, weights=self._weights, gain=p.clearance_gain,
-            may_yield=desired.intruded and p.path_priority != 'strict',
-            may_slide=p.path_priority == 'slide' and joints is None and bool(
-                start.command.any()), dt=start.dt)
+            may_yield=leaves or (desired.intruded and p.path_priority != 'strict'),
+            may_slide=p.path_priority == 'slide' and joints is None and not leaves and bool(
+                start.command.any()), leaves=leaves, dt=start.dt)
+        if leaves:
+            result = result._replace(scale=self._share_on_path(jacobian @ result.dq, task))
+        return result
+
+    def _share_on_path(self, twist: Array, task: Task) -> float:
+        """Return the share of the command that a tip which leaves its path goes along it.
+
+        Where the tip has got ahead of the reference pose, that catches up.
+
+        Args:
+            twist: (m,) of the tip.
+            task: what the tip was to do.
+        """
+        commanded = task.commanded
+        squared = float(commanded @ commanded)
+        if squared == 0.0:
+            return 1.0
+        ahead = -float(self.robot.task_rows(task.error) @ commanded)
+        share = (float(twist @ commanded) + _CATCHING_UP * ahead) / squared
+        return min(max(share, 0.0), 1.0)
 
     def _followed(
         self, result: Filtered, desired: Wish, jacobian: Array, dt: float,
@@ -496,14 +555,18 @@ class Planner:
             task.reference, followed, self._constants.rows, self._constants.in_tool, dt)
 
     def _reason(
-        self, result: Filtered, desired: Wish, around: Surroundings, start: Start,
-        commanded: bool,
+        self, result: Filtered, desired: Wish, around: Surroundings, aim: _Aim,
     ) -> str:
         """Say what holds the arm back."""
+        start, aside, course = aim.start, aim.aside, ''
+        if aside is not None and aside.leaves:
+            obstacle = around.scene.names[around.nearest[aside.obstacle]]
+            course = (f"link '{self.robot.capsules[aside.link].name}' in the course of "
+                      f"obstacle '{obstacle}'")
         change = np.abs(result.dq - self._last.dq) / (start.dt * self._limits.acceleration_max)
         return reason_for(
             result, desired.barriers, around, self.robot, change, start.arm.q, self._way_out,
-            commanded=commanded)
+            commanded=aim.commanded, course=course)
 
     def _nearest(self, desired: Wish, around: Surroundings) -> Nearest | None:
         if desired.nearest_link < 0:

@@ -256,6 +256,7 @@ class NearAlong(NamedTuple):
         smallest: (p,) what ρ is to be multiplied with for a distance [m].
         gradient: (p, n) ∂ρ/∂q at its posture.
         nearest: the smallest distance of all [m], infinite without obstacles.
+        nearest_link, nearest_obstacle: whose it is, −1 without obstacles.
     """
 
     postures: Indices
@@ -263,6 +264,8 @@ class NearAlong(NamedTuple):
     smallest: Vector
     gradient: Matrix
     nearest: float
+    nearest_link: int
+    nearest_obstacle: int
 
 
 @kernel
@@ -308,7 +311,7 @@ def near_pairs_along(
     shape = (count, links, k)
     pairs = PairsAlong(np.empty(shape), np.empty(shape), np.empty(shape))
     distance = pairs.distance
-    found, nearest = 0, np.inf
+    found, nearest, nearest_link, nearest_obstacle = 0, np.inf, -1, -1
     for at in range(count):
         bound_by_balls(
             obstacles, arms.segment_start[at], arms.segment_end[at], times[at], distance[at])
@@ -324,7 +327,9 @@ def near_pairs_along(
                     continue
                 if is_contact(obstacles, link, obstacle):
                     distance[at, link, obstacle] = np.inf
-                nearest = min(nearest, distance[at, link, obstacle])
+                if distance[at, link, obstacle] < nearest:
+                    nearest = distance[at, link, obstacle]
+                    nearest_link, nearest_obstacle = link, obstacle
                 found += distance[at, link, obstacle] < within
         # What is beyond the nearest so far is beyond the nearest of all: a bound will do for it.
         # Selecting them after 1, 2, 4, … postures costs little.
@@ -333,7 +338,8 @@ def near_pairs_along(
             within = kth_smallest(seen, MOST_AHEAD_PAIRS)
             found = int(np.sum(seen < within))
     near = NearAlong(np.empty(found, np.intp), np.empty(found), np.empty(found),
-                     np.empty((found, arms.q.shape[1])), nearest)
+                     np.empty((found, arms.q.shape[1])), nearest, nearest_link,
+                     nearest_obstacle)
     i = 0
     for at in range(count):
         arm = Links(arms.segment_start[at], arms.segment_end[at], arms.joint_screws[at],

@@ -28,7 +28,7 @@ _SINGULAR = ('near a singularity', 'singular posture')
 
 def reason_for(
     result: Filtered, barriers: Barriers, around: Surroundings, robot: Robot,
-    largest_change: Array, q: Array, last_way_out: LastWayOut, *, commanded: bool,
+    largest_change: Array, q: Array, last_way_out: LastWayOut, *, commanded: bool, course: str,
 ) -> str:
     """Say what holds the arm back; empty where nothing but its drives does.
 
@@ -40,15 +40,17 @@ def reason_for(
         q: (n,) the posture.
         last_way_out: which way leads out of a singularity.
         commanded: whether any motion is.
+        course: what the arm leaves its path for before it is near; empty if it does not.
     """
     if (result.scale > 0.99 or not commanded) and result.stage in _HARMLESS:
         return ''
     at_limit = [i for i in result.joints.tolist() if largest_change[i] < 1.0 - 1e-6]
-    if len(result.joints) and not at_limit and not len(result.pairs):  # speeding up
+    if len(result.joints) and not at_limit and not len(result.pairs) and not course:
+        # It is speeding up.
         return ''
     names = [f"joint '{robot.joint_names[i]}' at its limit" for i in at_limit]
     names += [_row_name(row, barriers, around, robot) for row in result.pairs.tolist()]
-    names = names or [_SINGULAR[1]]
+    names = names or [course or _SINGULAR[1]]
     # A link may have several points near an obstacle.
     named = ', '.join(name + last_way_out.words(q) if name in _SINGULAR else name
                       for name in dict.fromkeys(names))

@@ -141,7 +141,7 @@ _NO_SPARE: Array = np.empty(0)
 
 def safe_velocity(
     request: Request, limits: Limits, barriers: Barriers, *, weights: Array, gain: float,
-    may_yield: bool, may_slide: bool, dt: float,
+    may_yield: bool, may_slide: bool, dt: float, leaves: bool = False,
 ) -> Filtered:
     """Return the admissible joint velocity nearest to the desired one.
 
@@ -154,6 +154,8 @@ def safe_velocity(
         may_yield: whether the path may give way to a barrier.
         may_slide: whether the direction may, rather than the speed.
         dt: [s].
+        leaves: whether what is asked for leaves the path already: then nothing is to be scaled,
+            and what the barriers leave of it comes next to it.
     """
     previous = request.previous
     stop = stopping_time(previous, limits.acceleration_max)
@@ -168,7 +170,8 @@ def safe_velocity(
         # Speeding up would cost an acceleration limit later, if none can be kept now: brake.
         brakes = rule.brakes or not kept
         if (rule.stage is Stage.SCALED and not kept) or (
-                rule.stage is Stage.YIELDING and not may_yield):
+                rule.stage is Stage.YIELDING and not may_yield) or (
+                leaves and kept and not rule.path):
             continue
         rows = len(barriers.value) if rule.soft else urgent_rows(barriers)
         until = shorter if rule.brakes else longer
@@ -179,7 +182,8 @@ def safe_velocity(
             request.turning, residual, low if brakes else lower, high if brakes else upper,
             gradient, bounds,
             barrier_rate(gain, until, dt) * barriers.spare[:rows] if rule.slack else _NO_SPARE,
-            weights, rule.residual, rule.slack, rule.shared, rule.path and may_yield, False)
+            weights, rule.residual and not leaves, rule.slack, rule.shared,
+            rule.path and may_yield, leaves and rule.path)
         found, out_of_iterations = solve(problem)
         if out_of_iterations and rule.stage not in cut_short:
             cut_short.append(rule.stage)

@@ -1,0 +1,351 @@
+"""The joint path that leaves the commanded path least, past obstacles that move: one step to it.
+
+Nodes q_1 … q_N, one every Δ, are to minimise
+
+    Δ Σ ‖e(q_i)‖² + k_v ‖q̇_i‖² + k_a ‖q̈_i‖²
+    + Δ k_c Σ max(0, reserve − d(q_i, t_i))²        for every link and obstacle, moved on until t_i
+    + k_b Σ of the squares by which limits of position, velocity and acceleration are exceeded
+
+e is how far the tip is from the path, metres and radians alike: it counts little how far it stays
+behind. Clearances and limits are prices, not constraints: then there is always a solution, and
+the safety filter keeps both anyway.
+
+A step solves that with e and d linearised about a guess. What is left is a least-squares problem
+whose prices begin at a bound each. Those beyond their bound are found by solving it again until
+they stay the same. Its matrix is banded: a node shares terms with the next two. docs/horizon.md
+has more.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.horizon.path_linearised import smallest_of
+from redundant_planner.core.horizon.poses_ahead import error_to, Poses
+from redundant_planner.core.kernels import entry, kernel, Matrix, OutMatrix, OutVector, Vector
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
+from redundant_planner.core.obstacles.near_pairs import near_pairs_along, NearAlong
+from redundant_planner.core.robot.kinematics import along_in, Chain, KinematicsAlong
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety.limits import Limits
+
+Array = npt.NDArray[np.float64]
+
+# What counts beside the squared error: velocities [s²], accelerations [s⁴], and how far the tip
+# stays behind, as a share of what any other error counts.
+_EFFORT, _SMOOTHNESS, _BEHIND = 1e-3, 1e-5, 0.1
+# What being too near to an obstacle counts beside being off the path, and what being beyond a
+# limit does: of position [1], velocity [s²] and acceleration [s⁴], the last times Δ².
+CLEARANCE_PRICE = 1e3
+_POSITION_PRICE, _RATE_PRICE = 100.0, 1.0
+# Shares of the limits of velocity and acceleration that are used: the filter needs the rest.
+_VELOCITY_SHARE, _ACCELERATION_SHARE = 0.9, 0.8
+# Clearance that is kept beyond what the obstacles are inflated by, and pairs nearer than this are
+# looked at [m].
+RESERVE, _PAIRS_WITHIN = 0.005, 0.1
+# Keeps the matrix positive definite, and how far a step moves a joint of a node [rad, m].
+_DAMPING, _LARGEST_STEP = 1e-4, 0.3
+# How often a step solves its problem at the most.
+_SOLUTIONS = 6
+
+
+class Due(NamedTuple):
+    """Where the tip is to be at the nodes.
+
+    Attributes:
+        poses: N, those of the command if it goes on.
+        along: (m,) unit vector of the commanded twist; 0 without one.
+        behind: (N,) how far behind along that the tip may stay: where it is now [m, rad].
+    """
+
+    poses: Poses
+    along: Vector
+    behind: Vector
+
+
+class Demand(NamedTuple):
+    """What is asked of clearances: less to begin with, so that a path finds its way past.
+
+    Attributes:
+        price: what the square of a shortage counts.
+        reserve: kept beyond what the obstacles are inflated by [m].
+    """
+
+    price: float
+    reserve: float
+
+
+class Improved(NamedTuple):
+    """A step's result, and what was found of the nodes before it.
+
+    Attributes:
+        nodes: (N, n) after it.
+        price: of the sum above.
+        deviation: the largest ‖e‖ [m, rad].
+        nearest: the smallest distance [m]; and of which link and obstacle.
+        nearest_link, nearest_obstacle: these, −1 without obstacles.
+        threatened: whether a clearance bends the path.
+    """
+
+    nodes: Matrix
+    price: float
+    deviation: float
+    nearest: float
+    nearest_link: int
+    nearest_obstacle: int
+    threatened: bool
+
+
+class _Squares(NamedTuple):
+    """Half a sum of squares, ½ xᵀ H x + cᵀ x + constant, in the step x (N n,) of all nodes.
+
+    Attributes:
+        hessian: H (N n, N n).
+        linear: c (N n,).
+    """
+
+    hessian: OutMatrix
+    linear: OutVector
+
+
+class _Stencil(NamedTuple):
+    """What a joint's positions at a node and the two before it count in a rate of it."""
+
+    now: float
+    before: float
+    earlier: float
+
+
+@kernel
+def _velocity_stencil(step: float) -> _Stencil:
+    return _Stencil(1.0 / step, -1.0 / step, 0.0)
+
+
+@kernel
+def _acceleration_stencil(step: float) -> _Stencil:
+    change = 1.0 / (step * step)
+    return _Stencil(change, -2.0 * change, change)
+
+
+@kernel
+def _add_of_node(
+    squares: _Squares, node: int, gradient: Vector, residual: float, price: float,
+) -> float:
+    """Add ½ price (residual + gradient · x)² of one node's step x (n,); return twice its value."""
+    hessian, linear = squares
+    n = len(gradient)
+    first = node * n
+    for j in range(n):
+        slope = price * gradient[j]
+        if slope != 0.0:
+            linear[first + j] += slope * residual
+            for k in range(n):
+                hessian[first + j, first + k] += slope * gradient[k]
+    return price * residual * residual
+
+
+@kernel
+def _add_of_rate(
+    squares: _Squares, at: int, n: int, stencil: _Stencil, residual: float, price: float,
+) -> float:
+    """Add ½ price (residual + stencil · (x_i, x_{i−1}, x_{i−2}))² of one joint, likewise.
+
+    Args:
+        squares, residual, price: as for `_add_of_node`.
+        at: where the joint of node i is in x; those of nodes before the first do not move.
+        n: number of joints.
+        stencil: of the rate.
+    """
+    hessian, linear = squares
+    for back in range(3):
+        row = at - back * n
+        slope = price * stencil[back]
+        if row < 0 or slope == 0.0:
+            continue
+        linear[row] += slope * residual
+        for other in range(3):
+            if at - other * n >= 0:
+                hessian[row, at - other * n] += slope * stencil[other]
+    return price * residual * residual
+
+
+@kernel
+def _rates(
+    q: Vector, previous: Vector, nodes: Matrix, node: int, joint: int, step: float,
+) -> tuple[float, float]:
+    """Return a joint's velocity on its way to a node, and its acceleration since the last one."""
+    before = q[joint] if node == 0 else nodes[node - 1, joint]
+    velocity = (nodes[node, joint] - before) / step
+    if node == 0:
+        return velocity, (velocity - previous[joint]) / step
+    earlier = q[joint] if node == 1 else nodes[node - 2, joint]
+    return velocity, (velocity - (before - earlier) / step) / step
+
+
+@kernel
+def _beyond(value: float, low: float, high: float) -> float:
+    """Return how far a value is above a range, or, negative, below it; 0 within."""
+    return value - min(max(value, low), high)
+
+
+@kernel
+def _add_errors(squares: _Squares, arms: KinematicsAlong, due: Due, chain: Chain, step: float,
+                ) -> tuple[float, float]:
+    """Add how far the tip is from its path; return twice the value, and the largest ‖e‖."""
+    along, price, largest = due.along, 0.0, 0.0
+    m, n = arms.jacobian.shape[1:]
+    gradient = np.empty(n)
+    for i in range(len(arms.q)):
+        error = error_to(
+            Pose(due.poses.position[i], due.poses.rotation[i]),
+            Pose(arms.tip_position[i], arms.tip_rotation[i]), chain.rows, chain.in_tool)
+        lag = 0.0
+        for r in range(m):
+            lag += along[r] * error[r]
+        share = _BEHIND if 0.0 < lag < due.behind[i] else 1.0
+        error -= (1.0 - _BEHIND) * min(max(lag, 0.0), due.behind[i]) * along
+        squared = 0.0
+        for r in range(m):
+            squared += error[r] * error[r]
+            for j in range(n):
+                forward = 0.0
+                for k in range(m):
+                    forward += along[k] * arms.jacobian[i, k, j]
+                gradient[j] = (1.0 - share) * along[r] * forward - arms.jacobian[i, r, j]
+            price += _add_of_node(squares, i, gradient, error[r], step)
+        largest = max(largest, math.sqrt(squared))
+    return price, largest
+
+
+@kernel
+def _add_motion(
+    squares: _Squares, q: Vector, previous: Vector, nodes: Matrix, scaling: Vector, step: float,
+) -> float:
+    """Add velocities and accelerations; return twice the value."""
+    price, n = 0.0, len(q)
+    for i in range(len(nodes)):
+        for j in range(n):
+            velocity, acceleration = _rates(q, previous, nodes, i, j, step)
+            weight = step / (scaling[j] * scaling[j])
+            price += _add_of_rate(
+                squares, i * n + j, n, _velocity_stencil(step), velocity, _EFFORT * weight)
+            price += _add_of_rate(
+                squares, i * n + j, n, _acceleration_stencil(step), acceleration,
+                _SMOOTHNESS * weight)
+    return price
+
+
+@kernel
+def _add_limits(
+    squares: _Squares, q: Vector, previous: Vector, nodes: Matrix, trial: Matrix, limits: Limits,
+    step: float,
+) -> float:
+    """Add the limits that trial nodes (N, n) exceed, about other ones; return twice the value."""
+    price, n = 0.0, len(q)
+    gradient = np.zeros(n)
+    for i in range(len(nodes)):
+        for j in range(n):
+            at, low, high = i * n + j, limits.positions[1, j], limits.positions[0, j]
+            if _beyond(trial[i, j], low, high) != 0.0:
+                bound = high if trial[i, j] > high else low
+                gradient[j] = 1.0
+                price += _add_of_node(squares, i, gradient, nodes[i, j] - bound, _POSITION_PRICE)
+                gradient[j] = 0.0
+            velocity, acceleration = _rates(q, previous, trial, i, j, step)
+            now, changing = _rates(q, previous, nodes, i, j, step)
+            most = _VELOCITY_SHARE * limits.velocity_max[j]
+            if abs(velocity) > most:
+                price += _add_of_rate(
+                    squares, at, n, _velocity_stencil(step),
+                    now - math.copysign(most, velocity), _RATE_PRICE)
+            # The first node's is the mean on the way there: it is half of what it starts with.
+            most = _ACCELERATION_SHARE * limits.acceleration_max[j] * (0.5 if i == 0 else 1.0)
+            if abs(acceleration) > most:
+                price += _add_of_rate(
+                    squares, at, n, _acceleration_stencil(step),
+                    changing - math.copysign(most, acceleration), _RATE_PRICE * step * step)
+    return price
+
+
+@kernel
+def _add_clearances(
+    squares: _Squares, near: NearAlong, nodes: Matrix, trial: Matrix, demand: Demand,
+    step: float, acting: OutVector,
+) -> tuple[float, bool]:
+    """Add the clearances that trial nodes (N, n) fall short of, likewise.
+
+    Args:
+        squares, nodes, trial: see above.
+        near: pairs, linearised about the nodes.
+        demand: of clearances.
+        step: Δ [s].
+        acting: (p,) 1 for pairs that were added the last time, else 0; brought up to date.
+
+    Returns:
+        Twice the value, and whether others act than the last time.
+    """
+    price, changed, n = 0.0, False, nodes.shape[1]
+    gradient = np.empty(n)
+    for pair in range(len(near.postures)):
+        node, smallest = near.postures[pair], near.smallest[pair]
+        lack = near.normalized_distance[pair] * smallest - demand.reserve
+        then = lack
+        for j in range(n):
+            gradient[j] = smallest * near.gradient[pair, j]
+            then += gradient[j] * (trial[node, j] - nodes[node, j])
+        acts = 1.0 if then < 0.0 else 0.0
+        changed = changed or acts != acting[pair]
+        acting[pair] = acts
+        if acts == 1.0:
+            price += _add_of_node(squares, node, gradient, lack, demand.price * step)
+    return price, changed
+
+
+@entry
+def improved(
+    q: Vector, previous: Vector, nodes: Matrix, due: Due, obstacles: InflatedObstacles,
+    chain: Chain, limits: Limits, scaling: Vector, step: float, demand: Demand,
+) -> Improved:
+    """Return a path that leaves the commanded one less, and measures of the one before.
+
+    Args:
+        q, previous: (n,) where the arm is, and its velocity [rad, m; per s].
+        nodes: (N, n) the path.
+        due: where the tip is to be.
+        obstacles: the obstacles now, with what is kept from them.
+        chain, limits: of the arm.
+        scaling: (n,) 1 / square root of the joint weights.
+        step: Δ between two nodes [s].
+        demand: of clearances.
+    """
+    count, n = nodes.shape
+    arms = along_in(nodes, chain)
+    near = near_pairs_along(
+        obstacles, arms, chain, step * np.arange(1.0, count + 1.0), _PAIRS_WITHIN)
+    size = count * n
+    always = _Squares(_DAMPING * np.eye(size), np.zeros(size))
+    price, deviation = _add_errors(always, arms, due, chain, step)
+    price += _add_motion(always, q, previous, nodes, scaling, step)
+    squares = _Squares(np.empty((size, size)), np.empty(size))
+    x, trial = np.zeros(size), nodes.copy()
+    acting = np.zeros(len(near.postures))
+    for solution in range(_SOLUTIONS):
+        squares.hessian[:], squares.linear[:] = always.hessian, always.linear
+        of_limits = _add_limits(squares, q, previous, nodes, trial, limits, step)
+        of_clearances, changed = _add_clearances(
+            squares, near, nodes, trial, demand, step, acting)
+        if solution == 0:
+            price += of_limits + of_clearances
+        elif not changed:
+            break
+        x = smallest_of(squares.hessian, squares.linear, 3 * n - 1)
+        trial = nodes + x.reshape(count, n)
+    for i in range(count):
+        for j in range(n):
+            trial[i, j] = nodes[i, j] + min(max(x[i * n + j], -_LARGEST_STEP), _LARGEST_STEP)
+    return Improved(trial, price, deviation, near.nearest, near.nearest_link,
+                    near.nearest_obstacle, bool(np.any(acting > 0.0)))

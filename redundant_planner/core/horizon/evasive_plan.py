@@ -1,0 +1,202 @@
+"""Stepping aside: the joint path past obstacles that move, and when the arm follows it.
+
+Whoever only keeps links away from where obstacles are leaves the path late, and is driven along in
+front of them. This plan looks at the obstacles' courses 2 s ahead, and the tip may leave its path
+in it. Where null-space motion alone gets past, the tip stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.constants import Gains, RobotConstants
+from redundant_planner.core.horizon.evasive_path import (
+    CLEARANCE_PRICE,
+    Demand,
+    Due,
+    Improved,
+    improved,
+    RESERVE,
+)
+from redundant_planner.core.horizon.path_qp import moved_on
+from redundant_planner.core.horizon.poses_ahead import poses_ahead
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
+from redundant_planner.core.redundancy.reference import Caps, reference_of, Start
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety.limits import Limits
+
+Array = npt.NDArray[np.float64]
+
+# Nodes, and how far apart they are [s].
+_NODES, _STEP = 12, 0.16
+# A path is improved at most this often, and where nothing threatens only this often [s].
+_PERIOD, _IDLE_PERIOD = 0.003, 0.02
+# A tip that shall be off its path by no more than this stays on it [m, rad].
+_ON_PATH = 0.01
+# Other paths begin where the arm has leaned aside along its null space, the joint that moves most
+# by this much [rad, m] and within so many nodes. The last asks for less distance to begin with,
+# instead of less strictly.
+_LEANS, _LEANING_NODES = (0.0, 0.6, -0.6, 0.0), 5
+# What is asked at the first step, and over how many steps it grows to all. Then a path settles.
+_FIRST_PRICE, _FIRST_RESERVE = 1.0, -0.15
+_GROWING, _SETTLING = 6, 3
+_ALL = Demand(CLEARANCE_PRICE, RESERVE)
+# Another path replaces the one that is followed if it costs less than this share.
+_SHARE_TO_SWITCH = 0.9
+# A path that comes nearer to something than its clearance by this much is not followed [m].
+_LARGEST_INTRUSION = 0.01
+
+
+class Aside(NamedTuple):
+    """How the arm gets out of the way of what moves.
+
+    Attributes:
+        velocity: (n,) of the joints now [rad/s, m/s].
+        leaves: whether the tip leaves its path; else null-space motion is enough.
+        link, obstacle: what would meet: index of a capsule, and of the obstacle in what was given.
+    """
+
+    velocity: Array
+    leaves: bool
+    link: int
+    obstacle: int
+
+
+@dataclass
+class _Attempt:
+    """Another path, on its way to be compared.
+
+    Attributes:
+        nodes: (N, n).
+        from_afar: whether less distance is asked for at first.
+        steps: taken so far.
+    """
+
+    nodes: Array
+    from_afar: bool
+    steps: int = 0
+
+    @property
+    def demand(self) -> Demand:
+        """What the next step asks of clearances."""
+        share = min(self.steps / _GROWING, 1.0)
+        if self.from_afar:
+            return Demand(CLEARANCE_PRICE, _FIRST_RESERVE + share * (RESERVE - _FIRST_RESERVE))
+        return Demand(_FIRST_PRICE * (CLEARANCE_PRICE / _FIRST_PRICE) ** share, RESERVE)
+
+
+class EvasivePlan:
+    """The evasive path of one arm, from tick to tick.
+
+    A step finds the best path near the one it begins with, not the best of all. So every other
+    step goes to an attempt at another path, which replaces the one that is followed if it is
+    clearly better. The order is fixed, and so is the result. No tick takes more than one step.
+    """
+
+    def __init__(
+        self, robot: Robot, constants: RobotConstants, limits: Limits, gains: Gains,
+    ) -> None:
+        """Prepare for an arm."""
+        self._robot, self._limits, self._scaling = robot, limits, constants.scaling
+        self._caps = Caps(gains.feedback_distance, gains.feedback_angle)
+        self._times: Array = _STEP * np.arange(_NODES + 1.0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the path."""
+        self._path: Improved | None = None
+        self._attempt: _Attempt | None = None
+        self._start: Array | None = None  # where both of them begin
+        self._attempts = 0
+        self._has_followed = False  # whether the last step improved the path that is followed
+        self._age = math.inf  # since the last step [s]
+
+    def aside(self, start: Start, obstacles: InflatedObstacles) -> Aside | None:
+        """Return how to get out of the way; None where nothing has to, or no way is known.
+
+        Args:
+            start: of the tick.
+            obstacles: the nearest obstacles, with what is kept from them.
+        """
+        q = start.arm.q
+        self._move_on(q, start.dt)
+        self._age += start.dt
+        threatened = self._path is not None and self._path.threatened
+        if self._age >= (_PERIOD if threatened else _IDLE_PERIOD):
+            self._age = 0.0
+            self._step(start, obstacles)
+        path = self._path
+        if path is None or not path.threatened or path.nearest < -_LARGEST_INTRUSION:
+            return None
+        return Aside((path.nodes[0] - q) / _STEP, path.deviation > _ON_PATH,
+                     path.nearest_link, path.nearest_obstacle)
+
+    def _move_on(self, q: Array, dt: float) -> None:
+        """Take both paths on by a tick, to begin at q (n,)."""
+        before, self._start = self._start, q
+        if before is None:
+            return
+        later = self._times[1:] + dt
+        if self._path is not None:
+            self._path = self._path._replace(
+                nodes=moved_on(before, self._path.nodes, self._times, later))
+        if self._attempt is not None:
+            self._attempt.nodes = moved_on(before, self._attempt.nodes, self._times, later)
+
+    def _step(self, start: Start, obstacles: InflatedObstacles) -> None:
+        """Improve the path that is followed, or in every other step the attempt at another."""
+        path = self._path
+        follows = path is None or not path.threatened or not self._has_followed
+        self._has_followed = follows
+        if follows:
+            nodes = np.tile(start.arm.q, (_NODES, 1)) if path is None else path.nodes
+            self._path = path = self._improved(start, nodes, obstacles, _ALL)
+            if not path.threatened:
+                self._attempt = None
+            return
+        assert path is not None
+        attempt = self._attempt or self._begun(start)
+        found = self._improved(start, attempt.nodes, obstacles, attempt.demand)
+        attempt.nodes, attempt.steps = found.nodes, attempt.steps + 1
+        self._attempt = attempt
+        if attempt.steps > _GROWING + _SETTLING:
+            self._attempt = None
+            if found.price < _SHARE_TO_SWITCH * path.price:
+                self._path = found
+
+    def _begun(self, start: Start) -> _Attempt:
+        """Return the next attempt."""
+        kind = self._attempts % len(_LEANS)
+        self._attempts += 1
+        nodes = np.tile(start.arm.q, (_NODES, 1))
+        if _LEANS[kind] != 0.0 and self._robot.n > self._robot.m:
+            spare = np.linalg.svd(start.arm.jacobian)[2][self._robot.m:]
+            aside = spare[self._attempts // len(_LEANS) % len(spare)]
+            aside = aside / aside[np.abs(aside).argmax()]
+            share = np.minimum(np.arange(1, _NODES + 1) / _LEANING_NODES, 1.0)
+            high, low = self._limits.positions
+            nodes = nodes + np.outer(_LEANS[kind] * share, aside)
+            nodes = np.minimum(np.maximum(nodes, low), high)
+        return _Attempt(nodes, kind == len(_LEANS) - 1)
+
+    def _improved(
+        self, start: Start, nodes: Array, obstacles: InflatedObstacles, demand: Demand,
+    ) -> Improved:
+        robot, command = self._robot, start.command
+        reference = reference_of(
+            start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation),
+            robot.chain.rows, robot.in_tool, self._caps)
+        poses = poses_ahead(
+            reference, np.tile(command, (_NODES, 1)), self._times, robot.in_tool)
+        along = robot.task_rows(command)
+        speed = math.sqrt(along @ along)
+        return improved(
+            start.arm.q, start.previous, nodes,
+            Due(poses, along / speed if speed > 0.0 else along, speed * self._times[1:]),
+            obstacles, robot.chain, self._limits, self._scaling, _STEP, demand)
