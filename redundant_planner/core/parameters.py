@@ -251,8 +251,7 @@ class PlannerParameters:
         2.0, low=0.0, high=10.0, unit='s',
         group='clearance', node=False,
         description="Constant-velocity prediction time for moving obstacles. Where an obstacle's "
-                    'course leads into a link, the first two joints turn out of the way in time. '
-                    '0 turns this off.')
+                    'course leads into a link, the arm steps aside in time. 0 turns this off.')
     allowed_contacts: tuple[str, ...] = parameter(
         (), runtime=True,
         description="Contacts that are meant, as 'link:obstacle': the names of a link and an "

@@ -12,8 +12,8 @@ the safety filter keeps both anyway.
 
 A step solves that with e and d linearised about a guess. What is left is a least-squares problem
 whose prices begin at a bound each. Those beyond their bound are found by solving it again until
-they stay the same. Its matrix is banded: a node shares terms with the next two. docs/horizon.md
-has more.
+they stay the same. Its matrix is banded: a node shares terms with the next two. docs/safety.md has
+more.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Stepping aside: the joint path past obstacles that move, and when the arm follows it.
 
 Whoever only keeps links away from where obstacles are leaves the path late, and is driven along in
-front of them. This plan looks at the obstacles' courses 2 s ahead, and the tip may leave its path
-in it. Where null-space motion alone gets past, the tip stays.
+front of them. This plan looks at their courses (`clearance.evasion_horizon`), and the tip may
+leave its path in it. Where null-space motion alone gets past, the tip stays.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
 
-# Nodes, and how far apart they are [s].
-_NODES, _STEP = 12, 0.16
+# Nodes, and how far apart they are at least and at most [s].
+_NODES, _SHORTEST_STEP, _LONGEST_STEP = 12, 0.02, 0.25
 # A path is improved at most this often, and where nothing threatens only this often [s].
 _PERIOD, _IDLE_PERIOD = 0.003, 0.02
 # A tip that shall be off its path by no more than this stays on it [m, rad].
@@ -102,10 +102,12 @@ class EvasivePlan:
     def __init__(
         self, robot: Robot, constants: RobotConstants, limits: Limits, gains: Gains,
     ) -> None:
-        """Prepare for an arm."""
+        """Prepare for an arm, and for how long courses are looked at."""
         self._robot, self._limits, self._scaling = robot, limits, constants.scaling
         self._caps = Caps(gains.feedback_distance, gains.feedback_angle)
-        self._times: Array = _STEP * np.arange(_NODES + 1.0)
+        self._between = min(max(
+            gains.clearance_evasion_horizon / _NODES, _SHORTEST_STEP), _LONGEST_STEP)
+        self._times: Array = self._between * np.arange(_NODES + 1.0)
         self.reset()
 
     def reset(self) -> None:
@@ -134,7 +136,7 @@ class EvasivePlan:
         path = self._path
         if path is None or not path.threatened or path.nearest < -_LARGEST_INTRUSION:
             return None
-        return Aside((path.nodes[0] - q) / _STEP, path.deviation > _ON_PATH,
+        return Aside((path.nodes[0] - q) / self._between, path.deviation > _ON_PATH,
                      path.nearest_link, path.nearest_obstacle)
 
     def _move_on(self, q: Array, dt: float) -> None:
@@ -199,4 +201,4 @@ class EvasivePlan:
         return improved(
             start.arm.q, start.previous, nodes,
             Due(poses, along / speed if speed > 0.0 else along, speed * self._times[1:]),
-            obstacles, robot.chain, self._limits, self._scaling, _STEP, demand)
+            obstacles, robot.chain, self._limits, self._scaling, self._between, demand)

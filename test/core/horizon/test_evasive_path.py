@@ -3,13 +3,7 @@
 from __future__ import annotations
 
 from closed_loop import mixed_scene
-from conftest import (
-    central_difference,
-    make_panda,
-    make_paper_arm,
-    PANDA_READY,
-    random_postures,
-)
+from conftest import central_difference, make_panda, make_paper_arm, PANDA_READY, random_postures
 import numpy as np
 import pytest
 
