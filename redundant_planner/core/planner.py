@@ -334,12 +334,7 @@ class Planner:
                 free=target is None)
             start, commanded = start._replace(command=command), bool(command.any())
             says = '; '.join(filter(None, (_BACK if target is None else '', self._way.lacks)))
-        aside = self._aside(start, around) if joints is None else None
-        if aside is None:
-            turn = self._turn(start, around)
-        else:
-            self._evasion.reset()
-            turn = NO_TURN
+        aside, turn = self._evade(start, around, by_joints=joints is not None)
         if joints is None:
             path = self._look_ahead.velocity(
                 start, around.ahead, ahead,
@@ -427,29 +422,25 @@ class Planner:
             self._window = dt, window_of(self._reversal_time, dt) if self._filtered else 1
         return self._window[1]
 
-    @property
-    def _evades(self) -> bool:
-        """Whether the arm may leave its path for something that moves."""
+    def _evade(
+        self, start: Start, around: Surroundings, *, by_joints: bool,
+    ) -> tuple[Aside | None, Turn]:
+        """Return how to get out of the way of what moves: aside, else by turning."""
         p = self._parameters
-        return (self._watch.fastest > 0.0 and self._filtered and p.path_priority != 'strict'
-                and p.clearance_evasion_horizon > 0.0)
-
-    def _aside(self, start: Start, around: Surroundings) -> Aside | None:
-        """Return how to get out of the way of what moves."""
-        if not self._evades:
+        evades = (self._watch.fastest > 0.0 and self._filtered and p.path_priority != 'strict'
+                  and p.clearance_evasion_horizon > 0.0)
+        aside = None
+        if evades and not by_joints:
+            aside = self._evasive.aside(start, around)
+        else:
             self._evasive.reset()
-            return None
-        return self._evasive.aside(start, around.ahead)
-
-    def _turn(self, start: Start, around: Surroundings) -> Turn:
-        """Return the turn of the first joints out of the course of what moves."""
-        if not self._evades:
+        if aside is not None or not evades:
             self._evasion.reset()
-            return NO_TURN
+            return aside, NO_TURN
         # A path is rarely overdue; obstacles may have to be chosen in each tick.
         waits = self._look_ahead.is_overdue(start.dt, self._watch.chose) or (
             self._watch.chose and self._evasion.waited < _MOST_WAITING)
-        return self._evasion.turn(
+        return None, self._evasion.turn(
             start.arm, around.ahead, start.previous, self._last.leaving, waits, start.dt)
 
     def _switch(
@@ -558,15 +549,12 @@ class Planner:
         self, result: Filtered, desired: Wish, around: Surroundings, aim: _Aim,
     ) -> str:
         """Say what holds the arm back."""
-        start, aside, course = aim.start, aim.aside, ''
-        if aside is not None and aside.leaves:
-            obstacle = around.scene.names[around.nearest[aside.obstacle]]
-            course = (f"link '{self.robot.capsules[aside.link].name}' in the course of "
-                      f"obstacle '{obstacle}'")
+        start, aside = aim.start, aim.aside
         change = np.abs(result.dq - self._last.dq) / (start.dt * self._limits.acceleration_max)
         return reason_for(
             result, desired.barriers, around, self.robot, change, start.arm.q, self._way_out,
-            commanded=aim.commanded, course=course)
+            commanded=aim.commanded,
+            course=aside.course if aside is not None and aside.leaves else '')
 
     def _nearest(self, desired: Wish, around: Surroundings) -> Nearest | None:
         if desired.nearest_link < 0:

@@ -26,6 +26,7 @@ from redundant_planner.core.horizon.evasive_path import (
 from redundant_planner.core.horizon.path_qp import moved_on
 from redundant_planner.core.horizon.poses_ahead import poses_ahead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
+from redundant_planner.core.obstacles.nearby import Surroundings
 from redundant_planner.core.redundancy.reference import Caps, reference_of, Start
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -59,13 +60,12 @@ class Aside(NamedTuple):
     Attributes:
         velocity: (n,) of the joints now [rad/s, m/s].
         leaves: whether the tip leaves its path; else null-space motion is enough.
-        link, obstacle: what would meet: index of a capsule, and of the obstacle in what was given.
+        course: what would meet, in words.
     """
 
     velocity: Array
     leaves: bool
-    link: int
-    obstacle: int
+    course: str
 
 
 @dataclass
@@ -115,16 +115,17 @@ class EvasivePlan:
         self._path: Improved | None = None
         self._attempt: _Attempt | None = None
         self._start: Array | None = None  # where both of them begin
+        self._course = ''
         self._attempts = 0
         self._has_followed = False  # whether the last step improved the path that is followed
         self._age = math.inf  # since the last step [s]
 
-    def aside(self, start: Start, obstacles: InflatedObstacles) -> Aside | None:
+    def aside(self, start: Start, around: Surroundings) -> Aside | None:
         """Return how to get out of the way; None where nothing has to, or no way is known.
 
         Args:
             start: of the tick.
-            obstacles: the nearest obstacles, with what is kept from them.
+            around: the obstacles near the arm.
         """
         q = start.arm.q
         self._move_on(q, start.dt)
@@ -132,12 +133,12 @@ class EvasivePlan:
         threatened = self._path is not None and self._path.threatened
         if self._age >= (_PERIOD if threatened else _IDLE_PERIOD):
             self._age = 0.0
-            self._step(start, obstacles)
+            self._step(start, around)
         path = self._path
         if path is None or not path.threatened or path.nearest < -_LARGEST_INTRUSION:
             return None
         return Aside((path.nodes[0] - q) / self._between, path.deviation > _ON_PATH,
-                     path.nearest_link, path.nearest_obstacle)
+                     self._course)
 
     def _move_on(self, q: Array, dt: float) -> None:
         """Take both paths on by a tick, to begin at q (n,)."""
@@ -151,26 +152,32 @@ class EvasivePlan:
         if self._attempt is not None:
             self._attempt.nodes = moved_on(before, self._attempt.nodes, self._times, later)
 
-    def _step(self, start: Start, obstacles: InflatedObstacles) -> None:
+    def _step(self, start: Start, around: Surroundings) -> None:
         """Improve the path that is followed, or in every other step the attempt at another."""
         path = self._path
-        follows = path is None or not path.threatened or not self._has_followed
-        self._has_followed = follows
-        if follows:
+        if path is None or not path.threatened or not self._has_followed:
             nodes = np.tile(start.arm.q, (_NODES, 1)) if path is None else path.nodes
-            self._path = path = self._improved(start, nodes, obstacles, _ALL)
-            if not path.threatened:
-                self._attempt = None
+            self._follow(self._improved(start, nodes, around.ahead, _ALL), around)
             return
-        assert path is not None
+        self._has_followed = False
         attempt = self._attempt or self._begun(start)
-        found = self._improved(start, attempt.nodes, obstacles, attempt.demand)
-        attempt.nodes, attempt.steps = found.nodes, attempt.steps + 1
-        self._attempt = attempt
-        if attempt.steps > _GROWING + _SETTLING:
+        found = self._improved(start, attempt.nodes, around.ahead, attempt.demand)
+        attempt.steps += 1
+        if found is None or attempt.steps > _GROWING + _SETTLING:
             self._attempt = None
-            if found.price < _SHARE_TO_SWITCH * path.price:
-                self._path = found
+            if found is not None and found.price < _SHARE_TO_SWITCH * path.price:
+                self._follow(found, around)
+        else:
+            attempt.nodes, self._attempt = found.nodes, attempt
+
+    def _follow(self, path: Improved | None, around: Surroundings) -> None:
+        self._path, self._has_followed = path, True
+        if path is None or not path.threatened:
+            self._attempt, self._course = None, ''
+        else:
+            link = self._robot.capsules[path.nearest_link].name
+            obstacle = around.scene.names[around.nearest[path.nearest_obstacle]]
+            self._course = f"link '{link}' in the course of obstacle '{obstacle}'"
 
     def _begun(self, start: Start) -> _Attempt:
         """Return the next attempt."""
@@ -189,7 +196,8 @@ class EvasivePlan:
 
     def _improved(
         self, start: Start, nodes: Array, obstacles: InflatedObstacles, demand: Demand,
-    ) -> Improved:
+    ) -> Improved | None:
+        """Return a path after a step; None where obstacles are too large for numbers."""
         robot, command = self._robot, start.command
         reference = reference_of(
             start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation),
@@ -198,7 +206,8 @@ class EvasivePlan:
             reference, np.tile(command, (_NODES, 1)), self._times, robot.in_tool)
         along = robot.task_rows(command)
         speed = math.sqrt(along @ along)
-        return improved(
+        found = improved(
             start.arm.q, start.previous, nodes,
             Due(poses, along / speed if speed > 0.0 else along, speed * self._times[1:]),
             obstacles, robot.chain, self._limits, self._scaling, self._between, demand)
+        return found if math.isfinite(found.price) and np.isfinite(found.nodes).all() else None

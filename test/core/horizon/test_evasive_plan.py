@@ -125,3 +125,30 @@ def test_an_arm_on_a_rail_evades_too():
     run.assert_limits_kept()
     assert min(run.clearances) > -1e-6
     assert run.off[-1] < 2e-3
+
+
+def test_obstacles_may_come_and_go_between_its_steps():
+    """What it names is no longer there, or another one by then."""
+    robot = make_panda()
+    planner, q = Planner(robot, PlannerParameters()), np.array(PANDA_READY)
+    random = np.random.default_rng(3)
+    tip = robot.kinematics(q).tip_position
+    for _ in range(300):
+        count = random.integers(0, 4)
+        scene = Scene.of([Obstacle(
+            f'o{random.integers(9)}', tip + random.uniform(-0.4, 0.4, 3), [0.04] * 3,
+            velocity=random.uniform(-0.3, 0.3, 3)) for _ in range(count)]) if count else Scene.of()
+        result = planner.step(q, np.zeros(6), scene, 0.001)
+        assert np.isfinite(result.dq).all()
+        q = q + 0.001 * result.dq
+
+
+def test_numbers_without_end_leave_it_without_a_path():
+    robot = make_panda()
+    planner, q = Planner(robot, PlannerParameters()), np.array(PANDA_READY)
+    far = Obstacle('far', [1e160, 0.0, 0.0], [1e155] * 3, velocity=[-1e159, 0.0, 0.0])
+    with np.errstate(all='ignore'):
+        for _ in range(20):
+            result = planner.step(q, np.zeros(6), Scene.of([far]), DT)
+            q = q + DT * result.dq
+    assert np.isfinite(q).all()
