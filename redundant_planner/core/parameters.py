@@ -243,7 +243,7 @@ class PlannerParameters:
                     'second, and never faster than the arm can brake. Higher values let it go '
                     'faster near obstacles and turn away later and harder.')
     clearance_lead: float = parameter(
-        0.1, low=0.0, high=2.0, unit='s', runtime=True,
+        0.05, low=0.0, high=2.0, unit='s', runtime=True,
         group='clearance',
         description='Moving obstacles are kept further away, by their way in this time: their '
                     'position may be known late, and the arm needs time to evade.')
