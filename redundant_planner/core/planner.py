@@ -229,11 +229,14 @@ class Planner:
         return self._look_ahead.guided
 
     def prepare(self, scene: Scene) -> None:
-        """Choose from many obstacles ahead of the next `step`, where there is time for that.
+        """Do a part of the next `step` ahead of it, where there is time for that.
 
-        It makes that one shorter, and changes nothing else.
+        It chooses from many obstacles, and improves the joint paths ahead. The next step becomes
+        shorter by that, and nothing else changes.
         """
         self._watch.prepare(scene, self._last.dq)
+        self._look_ahead.catch_up()
+        self._evasive.catch_up()
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float,
@@ -506,7 +509,8 @@ class Planner:
             may_slide=p.path_priority == 'slide' and joints is None and not leaves and bool(
                 start.command.any()), leaves=leaves, dt=start.dt)
         if leaves:
-            result = result._replace(scale=self._share_on_path(jacobian @ result.dq, task))
+            result = result._replace(
+                scale=self._share_on_path(jacobian @ result.dq, task), residual=0.0)
         return result
 
     def _share_on_path(self, twist: Array, task: Task) -> float:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 import time
 
-# A tick begins this share of the period before its command is due, but at most this long [s]. The
-# time is enough to plan a joint path around an obstacle.
-_SHARE = 0.35
-_LONGEST = 1e-3
+# A tick begins this share of the period before its command is due, but at most this long [s]. On
+# a slow machine, and after a sleep, it takes 0.2 ms, and 0.4 ms where it filters or evades.
+_SHARE = 0.5
+_LONGEST = 7e-4
 # The last part of a wait is not slept, as the system wakes a process some microseconds late [s].
 _AWAKE = 20e-6
 # The due times fall back by this share per period, so that they recover from being too early.

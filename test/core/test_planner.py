@@ -10,6 +10,7 @@ import pytest
 
 from redundant_planner.core.constants import limits_of, robot_constants
 from redundant_planner.core.errors import ParameterError, StateError
+from redundant_planner.core.horizon.evasive_plan import EvasivePlan
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -211,6 +212,46 @@ def test_at_a_high_rate_not_every_tick_plans(panda, monkeypatch):
         postures[dt], _ = drive(planner, PANDA_READY, twist, seconds=0.6, dt=dt)
         np.testing.assert_allclose(planned[1:], expected)
     np.testing.assert_allclose(postures[0.001][-1], postures[0.004][-1], atol=2e-3)
+
+
+@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
+def test_paths_are_improved_after_the_command_and_it_makes_no_difference_when(
+        panda, method, monkeypatch):
+    """Among a ball that passes and others that stand, with a reset on the way."""
+    improved_in = []
+
+    def note(kind, name):
+        original = getattr(kind, name)
+
+        def noted(*arguments):
+            improved_in.append((where, name))
+            return original(*arguments)
+
+        monkeypatch.setattr(kind, name, noted)
+
+    note(Horizon, 'advance')
+    note(EvasivePlan, '_step')
+    tip = panda.kinematics(PANDA_READY).tip_position
+    ball = Obstacle('ball', tip + [0.1, 0.35, 0.0], [0.05] * 3, velocity=[0.0, -0.3, 0.0])
+    post = Obstacle('post', tip + [0.15, 0.1, -0.1], [0.04] * 3)
+    twist, q = np.array([0.1, 0.03, 0.0, 0.0, 0.0, 0.2]), PANDA_READY
+    planners = [Planner(panda, PlannerParameters(method=method)) for _ in range(2)]
+    for i in range(500):
+        scene = Scene.of([ball.after(i * DT), post])
+        where = 'step'
+        prepared, plain = (planner.step(q, twist, scene, DT) for planner in planners)
+        np.testing.assert_array_equal(prepared.dq, plain.dq)
+        assert prepared.reason == plain.reason
+        where = 'prepare'
+        planners[0].prepare(scene)
+        if i == 300:
+            for planner in planners:
+                planner.reset()
+        q = q + DT * plain.dq
+    for name in ('advance', '_step'):
+        count, by_the_other = (improved_in.count((w, name)) for w in ('prepare', 'step'))
+        # First paths are planned at once, and a reset drops what was due.
+        assert count > 30 and abs(by_the_other - count) < 8
 
 
 def test_where_the_joint_path_ahead_leads_nowhere_the_arm_rests_at_its_end(paper_arm):

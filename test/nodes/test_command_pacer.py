@@ -16,7 +16,7 @@ PERIOD = 0.001
 @given(st.lists(st.floats(0.0, 0.9), min_size=1, max_size=50), st.integers(0, 10**6))
 def test_late_ticks_leave_the_beat_alone(delays, start):
     """After one that begins on time; and none is asked to wait for longer than its lead."""
-    beat, lead = CommandPacer(PERIOD), 0.35 * PERIOD
+    beat, lead = CommandPacer(PERIOD), 0.5 * PERIOD
     begins = (start + np.arange(len(delays) + 1)) * PERIOD
     begins[1:] += np.array(delays) * PERIOD
     due = np.array([beat.begin(begin) for begin in begins])
@@ -46,8 +46,8 @@ def test_a_beat_that_was_put_too_early_is_found_again():
     beat = CommandPacer(PERIOD)
     beat.begin(-1.2 * PERIOD)
     due = [beat.begin(i * PERIOD) - i * PERIOD for i in range(5000)]
-    assert due[0] == pytest.approx(0.15 * PERIOD, rel=0.01)
-    np.testing.assert_allclose(due[3000:], 0.35 * PERIOD, atol=1e-9)
+    assert due[0] == pytest.approx(0.3 * PERIOD, rel=0.01)
+    np.testing.assert_allclose(due[3000:], 0.5 * PERIOD, atol=1e-9)
 
 
 def test_who_is_early_waits_and_who_is_late_does_not():
@@ -57,7 +57,7 @@ def test_who_is_early_waits_and_who_is_late_does_not():
     due = beat.begin(time.monotonic())
     beat.wait()
     assert time.monotonic() >= due
-    assert 0.0 < beat.waited <= 1e-3
+    assert 0.0 < beat.waited <= 7e-4
     overdue = CommandPacer(0.02)
     overdue.begin(time.monotonic() - 1.0)
     overdue.wait()

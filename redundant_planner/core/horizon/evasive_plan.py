@@ -119,6 +119,7 @@ class EvasivePlan:
         self._attempts = 0
         self._has_followed = False  # whether the last step improved the path that is followed
         self._age = math.inf  # since the last step [s]
+        self._due: tuple[Start, Surroundings] | None = None  # of the tick that a step belongs to
 
     def aside(self, start: Start, around: Surroundings) -> Aside | None:
         """Return how to get out of the way; None where nothing has to, or no way is known.
@@ -127,18 +128,24 @@ class EvasivePlan:
             start: of the tick.
             around: the obstacles near the arm.
         """
+        self.catch_up()
         q = start.arm.q
         self._move_on(q, start.dt)
         self._age += start.dt
         threatened = self._path is not None and self._path.threatened
         if self._age >= (_PERIOD if threatened else _IDLE_PERIOD):
-            self._age = 0.0
-            self._step(start, around)
+            self._age, self._due = 0.0, (start, around)
         path = self._path
         if path is None or not path.threatened or path.nearest < -_LARGEST_INTRUSION:
             return None
         return Aside((path.nodes[0] - q) / self._between, path.deviation > _ON_PATH,
                      self._course)
+
+    def catch_up(self) -> None:
+        """Take the step that the last tick has left, if there is one."""
+        due, self._due = self._due, None
+        if due is not None:
+            self._step(*due)
 
     def _move_on(self, q: Array, dt: float) -> None:
         """Take both paths on by a tick, to begin at q (n,)."""

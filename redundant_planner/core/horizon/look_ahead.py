@@ -7,6 +7,7 @@ run into something.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -52,8 +53,27 @@ _STAY = 0.3
 _SMOOTHING_TIME, _SMOOTHING_TIME_BLOCKED = 0.04, 0.3
 
 
+class _Due(NamedTuple):
+    """A step that is due to improve the path.
+
+    Attributes:
+        start, obstacles: of the tick that it belongs to.
+        twists: (N, 6) mean twists from each node to the next.
+        elapsed: since the step before [s].
+    """
+
+    start: Start
+    obstacles: InflatedObstacles
+    twists: Array
+    elapsed: float
+
+
 class LookAhead:
     """The joint path ahead of one arm, and how much of the null-space motion follows it.
+
+    A step that improves the path takes longer than the rest of a tick. It is left to `catch_up`,
+    once the tick's command is out, and the next tick uses it. Only a first path is planned at
+    once.
 
     Attributes:
         guided: share of the null-space motion that follows it; 1 for `variational`.
@@ -81,6 +101,7 @@ class LookAhead:
         self._wanted: Array | None = None
         self._velocity: Array | None = None
         self._has_planned = False
+        self._due: _Due | None = None
         self._prepared = False  # whether the arm has just started on a path planned before
         self._age = 0.0  # of the path, or of the attempt to find one [s]
         self._command: Array = np.zeros(6)
@@ -119,6 +140,7 @@ class LookAhead:
         """
         if self._robot.n <= self._robot.m:
             return None if self.guided == 0.0 else np.zeros(self._robot.n)
+        self.catch_up()
         self._age += start.dt
         oldest = OLDEST_PATH_CHOOSING if chose else _OLDEST_PATH if busy else 0.0
         if isinstance(ahead, Preview):
@@ -146,10 +168,10 @@ class LookAhead:
     def _improve(
         self, start: Start, obstacles: InflatedObstacles, ahead: TwistAhead | None, oldest: float,
     ) -> None:
-        """Take a step to improve the path where one is due; not before it is `oldest` old [s]."""
+        """Note a step to improve the path as due; not before that is `oldest` old [s]."""
         if self._age < max(oldest, _PLANNING_PERIOD if self._has_planned else 0.0):
             return
-        elapsed, self._age, self._has_planned = self._age, 0.0, True
+        elapsed, self._age = self._age, 0.0
         growth = self._growth_of(start.command, elapsed)
         horizon = self._horizons[ahead is None]
         if horizon is not self._horizon:
@@ -161,11 +183,22 @@ class LookAhead:
         times = horizon.times
         twists = (continued(start.command, growth, middles(times)) if ahead is None
                   else self._controlled * ahead(times))
+        self._due = _Due(start, obstacles, twists, elapsed)
+        if not self._has_planned:
+            self.catch_up()
+        self._has_planned = True
+
+    def catch_up(self) -> None:
+        """Take the step that the last tick has left, if there is one."""
+        due, self._due = self._due, None
+        if due is None or self._horizon is None:
+            return
+        start, times = due.start, self._horizon.times
         reference = reference_of(
             start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation),
             self._constants.rows, self._constants.in_tool, self._caps)
-        poses = poses_ahead(reference, twists, times, self._robot.in_tool)
-        self._wanted = horizon.advance(start.arm.q, poses, obstacles, elapsed)
+        poses = poses_ahead(reference, due.twists, times, self._robot.in_tool)
+        self._wanted = self._horizon.advance(start.arm.q, poses, due.obstacles, due.elapsed)
 
     def _smoothed(self, dt: float) -> Array | None:
         """Return the path's velocity (n,), smoothed: another path may take another direction.

@@ -17,8 +17,9 @@ Array = npt.NDArray[np.float64]
 _BACK = 1e-3
 # It is stuck if it has not come nearer by as much in so long [m, rad], [s].
 _NEARER, _PATIENCE = 2e-3, 0.3
-# Without a way for so long, the path goes on from where the tip is [s].
-_IN_VAIN = 5.0
+# Without a way for so long, or at rest on one, the path goes on from where the tip is [s]. A tip
+# this slow is at rest [m/s, rad/s].
+_IN_VAIN, _AT_REST = 5.0, 1e-3
 
 
 class ComingBack:
@@ -75,7 +76,8 @@ class ComingBack:
         if off < _BACK and not leaving:
             self.reset()
         elif self._goes:
-            self._waited = self._waited + dt if lost else 0.0
+            at_rest = np.abs(followed).max() < _AT_REST
+            self._waited = self._waited + dt if lost or at_rest else 0.0
             if self._waited > _IN_VAIN:
                 self.reset()
                 return True

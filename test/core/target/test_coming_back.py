@@ -24,15 +24,19 @@ def test_an_arm_that_was_driven_into_its_limits_arrives_all_the_same(seed):
     assert found.off > 0.1  # else nothing was evaded
 
 
-def coming_back(away, nearer, seconds, *, lost=False):
-    """Leave a path by `away` [m], come nearer at some speed [m/s]; what is asked for, and said."""
+def coming_back(away, nearer, seconds, *, lost=False, goes=0.0):
+    """Leave a path by `away` [m], come nearer at some speed [m/s]; what is asked for, and said.
+
+    The tip goes on a free way at a speed `goes` [m/s].
+    """
     back = ComingBack(PANDA, robot_constants(PANDA, PlannerParameters()))
-    home, still = tip(PANDA, PANDA_READY), np.zeros(6)
+    home, followed = tip(PANDA, PANDA_READY), np.zeros(6)
     asked = gave_up = False
     for i in range(round(seconds / DT)):
         off = max(away - nearer * i * DT, 0.0)
         there = se3.displaced(home, np.array([0.0, off, 0.0, 0.0, 0.0, 0.0]), False)
-        gave_up = back.note(home, there, still, DT, leaving=i == 0, lost=lost) or gave_up
+        followed[0] = 0.0 if back.target is None else goes
+        gave_up = back.note(home, there, followed, DT, leaving=i == 0, lost=lost) or gave_up
         asked = asked or back.target is not None
     return asked, gave_up, back
 
@@ -45,10 +49,11 @@ def test_a_free_way_is_asked_for_only_where_the_tip_does_not_come_nearer():
     np.testing.assert_allclose(back.target.position, tip(PANDA, PANDA_READY).position)
 
 
-def test_where_there_is_no_way_the_path_goes_on_from_there():
-    _, gave_up, back = coming_back(0.1, 0.0, 7.0, lost=True)
-    assert gave_up and back.target is None
-    assert not coming_back(0.1, 0.0, 7.0)[1]
+def test_where_there_is_no_way_or_it_stands_still_the_path_goes_on_from_there():
+    for way in ({'lost': True, 'goes': 0.1}, {'lost': False, 'goes': 0.0}):
+        _, gave_up, back = coming_back(0.1, 0.0, 7.0, **way)
+        assert gave_up and back.target is None
+    assert not coming_back(0.1, 0.0, 7.0, goes=0.1)[1]
 
 
 def test_an_arm_on_its_path_is_left_alone():
