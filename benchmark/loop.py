@@ -154,6 +154,7 @@ def measure(
     # Another domain for every run: nodes of the last one may still be known on its own.
     context, domain = Context(), 60 + next(_runs) % 40
     rclpy.init(context=context, domain_id=domain)
+    bare = bare_period_p99(rate)
     camera = voxel_messages if voxels else obstacle_messages
     frames = camera(arm, start, obstacles) if obstacles else []
     operator = Operator(context, frames, np.array([0.0, 0.05, 0.03, 0.0, 0.0, 0.0]))
@@ -190,11 +191,18 @@ def measure(
         'rate': rate, 'obstacles': obstacles, 'busy': float(busy),
         'period median ms': 1e3 * float(np.median(periods)),
         'period p99 ms': 1e3 * float(np.percentile(periods, 99)),
-        'period max ms': 1e3 * float(periods.max()),
+        'period max ms': 1e3 * float(periods.max()), 'bare period p99 ms': bare,
         'latency median ms': 1e3 * float(np.median(latencies)),
         'latency p99 ms': 1e3 * float(np.percentile(latencies, 99)),
         **load, 'planner memory MiB': memory / 1024.0,
         'its growth MiB': (memory - at_first) / 1024.0}
+
+
+def bare_period_p99(rate: int) -> float:
+    """Return the 99th percentile of the periods of a process that only waits [ms]."""
+    return float(subprocess.run(
+        [sys.executable, '-m', 'benchmark.bare_loop', str(rate)], check=True,
+        stdout=subprocess.PIPE, text=True).stdout)
 
 
 def resident_kib(pid: int) -> float:

@@ -9,8 +9,10 @@ import time
 # a slow machine, and after a sleep, it takes 0.2 ms, and 0.4 ms where it filters or evades.
 _SHARE = 0.5
 _LONGEST = 7e-4
-# The last part of a wait is not slept, as the system wakes a process some microseconds late [s].
-_AWAKE = 20e-6
+# The last part of a wait is not slept, as the system wakes a process late: so much, at least and at
+# most, that one of 20 wakings is later. By how much that part shrinks otherwise [s].
+_LEAST_AWAKE, _MOST_AWAKE = 20e-6, 150e-6
+_LATER_WAKINGS, _SHRINKS = 0.05, 0.5e-6
 # The due times fall back by this share per period, so that they recover from being too early.
 _CREEP = 1e-4
 _TIMER_SLACK = Path('/proc/self/timerslack_ns')
@@ -37,6 +39,7 @@ class CommandPacer:
         self._period = period
         self._lead = min(_SHARE * period, _LONGEST)
         self._due = float('inf')
+        self._awake = _LEAST_AWAKE
 
     def begin(self, now: float) -> float:
         """Return when the command of a tick that begins now is due [s].
@@ -67,8 +70,11 @@ class CommandPacer:
         early = self._due - begin
         if not 0.0 < early <= self._lead:
             return
-        if early > _AWAKE:
-            time.sleep(early - _AWAKE)
+        if early > self._awake:
+            time.sleep(early - self._awake)
+            is_late = time.monotonic() > self._due
+            self._awake += _SHRINKS / _LATER_WAKINGS * is_late - _SHRINKS
+            self._awake = min(max(self._awake, _LEAST_AWAKE), _MOST_AWAKE)
         while time.monotonic() < self._due:
             pass
         self.waited = early

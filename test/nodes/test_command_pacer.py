@@ -50,6 +50,33 @@ def test_a_beat_that_was_put_too_early_is_found_again():
     np.testing.assert_allclose(due[3000:], 0.5 * PERIOD, atol=1e-9)
 
 
+@pytest.mark.parametrize('latest, awake', [(5e-6, 20e-6), (100e-6, 95e-6), (1e-3, 150e-6)])
+def test_it_sleeps_as_much_as_the_system_wakes_late(latest, awake, monkeypatch):
+    """Wakings are up to so late, and the processor is busy for the rest of a wait."""
+    random, now, slept = np.random.default_rng(1), [0.0], []
+
+    def sleep(seconds):
+        slept.append(seconds)
+        now[0] += seconds + random.uniform(0.0, latest)
+
+    def monotonic():
+        now[0] += 1e-7
+        return now[0]
+
+    monkeypatch.setattr(time, 'sleep', sleep)
+    monkeypatch.setattr(time, 'monotonic', monotonic)
+    beat, late = CommandPacer(PERIOD), []
+    for i in range(4000):
+        now[0] = i * PERIOD
+        due = beat.begin(now[0])
+        beat.wait()
+        late.append(now[0] - due)
+    waits = 0.5 * PERIOD - np.array(slept[2000:])
+    assert np.mean(waits) == pytest.approx(awake, rel=0.1)
+    if awake < 150e-6:
+        assert np.mean(np.array(late[2000:]) > 1e-6) == pytest.approx(0.05, abs=0.05)
+
+
 def test_who_is_early_waits_and_who_is_late_does_not():
     beat = CommandPacer(0.02)
     beat.wait()
