@@ -228,15 +228,18 @@ class Planner:
         """Share of the null-space motion that follows the joint path ahead."""
         return self._look_ahead.guided
 
-    def prepare(self, scene: Scene) -> None:
+    def prepare(self, scene: Scene) -> bool:
         """Do a part of the next `step` ahead of it, where there is time for that.
 
         It chooses from many obstacles, and improves the joint paths ahead. The next step becomes
         shorter by that, and nothing else changes.
+
+        Returns:
+            Whether it improved a path, which takes longer than most ticks.
         """
         self._watch.prepare(scene, self._last.dq)
-        self._look_ahead.catch_up()
-        self._evasive.catch_up()
+        looked_ahead = self._look_ahead.catch_up()
+        return self._evasive.catch_up() or looked_ahead
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float,

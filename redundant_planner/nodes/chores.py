@@ -7,6 +7,9 @@ from typing import NamedTuple
 
 from redundant_planner.nodes.guard import Guard
 
+# How long a chore waits at most for a tick with nothing else to do [s].
+_PATIENCE = 0.02
+
 
 class Chore(NamedTuple):
     """Something to do again and again.
@@ -39,11 +42,11 @@ class Chores:
 
         Args:
             now: [s]; if the clock was set back, all chores are due.
-            busy: whether this tick had other work already: a chore then waits for up to another
-                period.
+            busy: whether this tick had other work already: a chore then waits, though not for
+                long.
         """
         for i, (period, work) in enumerate(self._chores):
-            patience = period if busy else 0.0
+            patience = min(period, _PATIENCE) if busy else 0.0
             if now >= self._due[i] + patience or self._due[i] > now + period:
                 self._due[i] = now + period
                 self._guard.call('the work after a tick', work)

@@ -9,8 +9,8 @@ import time
 # a slow machine, and after a sleep, it takes 0.2 ms, and 0.4 ms where it filters or evades.
 _SHARE = 0.5
 _LONGEST = 7e-4
-# The last part of a wait is not slept, as the system wakes a process late: so much, at least and at
-# most, that one of 20 wakings is later. By how much that part shrinks otherwise [s].
+# The last part of a wait is not slept, as the system wakes a process late: so much that one of 20
+# wakings is later, within bounds. By how much that part shrinks each time [s].
 _LEAST_AWAKE, _MOST_AWAKE = 20e-6, 150e-6
 _LATER_WAKINGS, _SHRINKS = 0.05, 0.5e-6
 # The due times fall back by this share per period, so that they recover from being too early.

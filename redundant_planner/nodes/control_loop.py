@@ -149,7 +149,7 @@ class ControlLoop:
         """Command the arm once; an unforeseen exception brings it to rest.
 
         Returns:
-            Whether there are or were obstacles to read besides.
+            Whether there was or is much to do besides.
         """
         begin = time.perf_counter()
         messages = [
@@ -177,7 +177,7 @@ class ControlLoop:
         self.state.tick_times.append(elapsed)
         self.state.overruns += elapsed > self._period
         moves = not decision.hold
-        return bool(self._guard.call('reading obstacles', self._read_obstacles, moves))
+        return bool(self._guard.call('reading obstacles', self._read_and_prepare, moves))
 
     def refuse_time(self, reason: str) -> None:
         """Have `brake_without_time` stop the arm: without time there are no ticks."""
@@ -323,25 +323,24 @@ class ControlLoop:
                 stamp_ns, self.now, kind, obstacles[0][0], self.command.previews, elapsed,
                 self.attached.read_counts[0], twist, posture, target, obstacles).numbers())
 
-    def _read_obstacles(self, moves: bool) -> bool:
-        """Read messages on obstacles and attached, unless they must wait for longer.
+    def _read_and_prepare(self, moves: bool) -> bool:
+        """Read messages on obstacles and attached, if that need not wait; prepare the next tick.
 
         Args:
             moves: whether the planner decided on this tick.
 
         Returns:
-            Whether there were any.
+            Whether there was much to do.
         """
         holds = self.attached.read(self.now)
         self._payload.tracker.expire(self.now)
         self._hold()
         begin, put_off = time.perf_counter(), self.obstacles.put_off(self.pacer.left)
         read = not put_off and self.obstacles.read(self.now)
-        if moves:
-            self.planner.prepare(self.obstacles.scene)
+        prepared = moves and self.planner.prepare(self.obstacles.scene)
         if read:
             self.obstacles.took = time.perf_counter() - begin
-        return holds or put_off or read
+        return holds or put_off or read or prepared
 
     def _hold(self) -> None:
         """Make what is attached by now a part of the arm, and no obstacle."""

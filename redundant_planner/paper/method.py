@@ -82,8 +82,9 @@ class PaperPlanner:
         """Leave the path that was followed: something else was commanded, to stop the arm."""
         self.reset()
 
-    def prepare(self, scene: Scene) -> None:
+    def prepare(self, scene: Scene) -> bool:
         """Do nothing: a new scene costs nothing ahead."""
+        return False
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,

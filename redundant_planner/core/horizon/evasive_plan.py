@@ -141,11 +141,12 @@ class EvasivePlan:
         return Aside((path.nodes[0] - q) / self._between, path.deviation > _ON_PATH,
                      self._course)
 
-    def catch_up(self) -> None:
-        """Take the step that the last tick has left, if there is one."""
+    def catch_up(self) -> bool:
+        """Take the step that the last tick has left; return whether there was one."""
         due, self._due = self._due, None
         if due is not None:
             self._step(*due)
+        return due is not None
 
     def _move_on(self, q: Array, dt: float) -> None:
         """Take both paths on by a tick, to begin at q (n,)."""

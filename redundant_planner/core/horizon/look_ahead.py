@@ -188,17 +188,18 @@ class LookAhead:
             self.catch_up()
         self._has_planned = True
 
-    def catch_up(self) -> None:
-        """Take the step that the last tick has left, if there is one."""
+    def catch_up(self) -> bool:
+        """Take the step that the last tick has left; return whether there was one."""
         due, self._due = self._due, None
         if due is None or self._horizon is None:
-            return
+            return False
         start, times = due.start, self._horizon.times
         reference = reference_of(
             start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation),
             self._constants.rows, self._constants.in_tool, self._caps)
         poses = poses_ahead(reference, due.twists, times, self._robot.in_tool)
         self._wanted = self._horizon.advance(start.arm.q, poses, due.obstacles, due.elapsed)
+        return True
 
     def _smoothed(self, dt: float) -> Array | None:
         """Return the path's velocity (n,), smoothed: another path may take another direction.
