@@ -19,6 +19,8 @@ Array = npt.NDArray[np.float64]
 # Every that many ticks the tip's distance from its path is measured.
 _STRIDE = 2
 _TOLERANCE = 1e-6
+# A joint's acceleration counts from this share of its limit on.
+_COUNTS = 0.05
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class Verdict:
         completed: whether the tip reached the path's end, to 1 mm.
         cost: ∫q̇ᵀq̇ dt.
         path: Σ|Δq| over all joints.
+        reversals: changes of the sign of a joint's acceleration, summed over the joints;
+            accelerations below 5 % of the limit have none.
     """
 
     min_distance: float
@@ -48,6 +52,7 @@ class Verdict:
     completed: bool
     cost: float
     path: float
+    reversals: int
 
 
 class Judge:
@@ -81,7 +86,8 @@ class Judge:
             limit_violation(robot, postures, velocities, dt), float(errors.max()), turn,
             float(errors[-1]), bool(np.linalg.norm(tips[-1] - path[-1]) < 1e-3),
             float(np.square(velocities).sum() * dt),
-            float(np.abs(np.diff(postures, axis=0)).sum()))
+            float(np.abs(np.diff(postures, axis=0)).sum()),
+            reversals(accelerations(velocities, dt), robot.acceleration_max))
 
 
 def limit_violation(robot: Robot, postures: Array, velocities: Array, dt: float) -> float:
@@ -110,6 +116,15 @@ def accelerations(velocities: Array, dt: float) -> Array:
 def jerks(velocities: Array, dt: float) -> Array:
     """Return jerks (k, n) of velocity commands (k, n), from rest on."""
     return np.diff(accelerations(velocities, dt), axis=0, prepend=0.0) / dt
+
+
+def reversals(acceleration: Array, acceleration_max: Array) -> int:
+    """Return how often accelerations (k, n) change sign beyond 5 % of their limits (n,)."""
+    count = 0
+    for joint, most in zip(acceleration.T, acceleration_max):
+        signs = np.sign(joint[np.abs(joint) > _COUNTS * most])
+        count += int((signs[1:] != signs[:-1]).sum())
+    return count
 
 
 def nearest_index(path: Array, point: Array) -> int:

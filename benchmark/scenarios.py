@@ -165,6 +165,8 @@ def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
         'min_distance_mm': 1e3 * min(v.min_distance for v in verdicts),
         'cost_median': float(np.median([v.cost for v in verdicts])),
         'path_median': float(np.median([v.path for v in verdicts])),
+        'reversals_median': float(np.median([v.reversals for v in verdicts])),
+        'reversals_max': max(v.reversals for v in verdicts),
         'tick_us_median': float(np.median(ticks)),
         'tick_us_p99': float(np.percentile(ticks, 99)),
         'count': len(outcomes),

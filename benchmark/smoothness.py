@@ -33,8 +33,6 @@ from redundant_planner.core.robot.model import Robot
 Array = npt.NDArray[np.float64]
 
 OWN = ('least_norm', 'dynamic_factor', 'variational_held', 'variational_known')
-# A joint's acceleration counts from this share of its limit on.
-_COUNTS = 0.05
 
 
 @dataclass(frozen=True)
@@ -85,8 +83,7 @@ class Smoothness:
     """What the commands of one motion ask of the drives.
 
     Attributes:
-        reversals: changes of the sign of a joint's acceleration, summed over the joints;
-            accelerations below 5 % of the limit have none.
+        reversals: see `Verdict`.
         rms_acceleration: √(∫q̈ᵀq̈ dt / duration) [rad/s², m/s²].
         peak_acceleration_share, peak_jerk_share: of the limits, the largest.
         limit_violation: see `Judge`, jerk included.
@@ -103,15 +100,6 @@ class Smoothness:
     path_error: float
 
 
-def reversals(acceleration: Array, acceleration_max: Array) -> int:
-    """Return how often accelerations (k, n) change sign beyond 5 % of their limits (n,)."""
-    count = 0
-    for joint, most in zip(acceleration.T, acceleration_max):
-        signs = np.sign(joint[np.abs(joint) > _COUNTS * most])
-        count += int((signs[1:] != signs[:-1]).sum())
-    return count
-
-
 def smoothness(
     judge: Judge, task: Task, postures: Array, commands: Array, dt: float,
 ) -> Smoothness:
@@ -120,7 +108,7 @@ def smoothness(
     acceleration, jerk = accelerations(commands, dt), jerks(commands, dt)
     verdict = judge.judge(task, postures, commands, dt)
     return Smoothness(
-        reversals(acceleration, robot.acceleration_max),
+        verdict.reversals,
         float(np.sqrt(np.square(acceleration).sum(axis=1).mean())),
         float((np.abs(acceleration) / robot.acceleration_max).max()),
         float((np.abs(jerk) / robot.jerk_max).max()),

@@ -23,7 +23,7 @@ from benchmark import cloud, loop, smoothness, speed, worst_case
 from benchmark.crowds import ALL_SHAPES, Crowd, KINDS, Layout
 from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, Task
-from benchmark.judge import Judge
+from benchmark.judge import Judge, reversals
 from benchmark.scenarios import make_robot, METHODS, run_planner, summarise, UNFILTERED
 from benchmark.voxels import voxel_messages, voxel_ticks
 
@@ -271,9 +271,8 @@ def test_the_cloud_benchmark_times_the_same_points_in_every_layout():
 
 def test_reversals_are_counted_beyond_a_share_of_the_limit():
     most = np.array([10.0, 10.0])
-    assert smoothness.reversals(np.array([[1.0, 0.4], [-1.0, -0.4], [0.0, 0.4], [-1.0, 0.4]]),
-                                most) == 1
-    assert smoothness.reversals(np.zeros((0, 2)), most) == 0
+    assert reversals(np.array([[1.0, 0.4], [-1.0, -0.4], [0.0, 0.4], [-1.0, 0.4]]), most) == 1
+    assert reversals(np.zeros((0, 2)), most) == 0
 
 
 def test_a_slow_noisy_arm_is_commanded_as_smoothly_as_an_ideal_one():

@@ -12,13 +12,12 @@ import numpy.typing as npt
 
 from benchmark.bodies import capsules_of
 from benchmark.closest_approach import Motion
-from benchmark.judge import accelerations, limit_violation
+from benchmark.judge import accelerations, limit_violation, reversals
 from benchmark.peers import library, PEERS
 from benchmark.problem_sets.problem import tip_pose
 from benchmark.problem_sets.servo import servo_twist
 from benchmark.published.scene import Scene
 from benchmark.scenarios import make_robot
-from benchmark.smoothness import reversals
 from redundant_planner.analysis.metrics import distance_to_path
 from redundant_planner.core.obstacles.scene import Scene as Obstacles
 from redundant_planner.core.parameters import PlannerParameters
@@ -49,7 +48,7 @@ class Outcome:
         limit_violation: see `benchmark.judge`.
         path_error: the farthest that the tip was off the path [m]; NaN where there is none.
         path: Σ|Δq| over all joints [rad].
-        reversals: see `benchmark.smoothness`.
+        reversals: see `Verdict`.
         tick_us: (k,) times of the ticks [us].
     """
 

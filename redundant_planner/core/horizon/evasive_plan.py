@@ -50,8 +50,13 @@ _GROWING, _SETTLING = 6, 3
 _ALL = Demand(CLEARANCE_PRICE, RESERVE)
 # Another path replaces the one that is followed if it costs less than this share.
 _SHARE_TO_SWITCH = 0.9
-# A path that comes nearer to something than its clearance by this much is not followed [m].
-_LARGEST_INTRUSION = 0.01
+# Of a step this share is taken with the path that is followed: whole ones lead too far and back.
+_SHARE_OF_STEP = 0.5
+# A path that comes nearer to something than its clearance by this much is not followed, nor is it
+# again before it has kept clear for so long [m], [s]: it may be beyond that at every other look.
+_LARGEST_INTRUSION, _PROBATION = 0.01, 0.05
+# Time over which the velocity goes over to that of the path [s].
+_SMOOTHING_TIME = 0.05
 
 
 class Aside(NamedTuple):
@@ -119,6 +124,7 @@ class EvasivePlan:
         self._attempts = 0
         self._has_followed = False  # whether the last step improved the path that is followed
         self._age = math.inf  # since the last step [s]
+        self._clear_for = 0.0  # how long the path has led past a threat [s]
         self._due: tuple[Start, Surroundings] | None = None  # of the tick that a step belongs to
 
     def aside(self, start: Start, around: Surroundings) -> Aside | None:
@@ -137,9 +143,15 @@ class EvasivePlan:
             self._age, self._due = 0.0, (start, around)
         path = self._path
         if path is None or not path.threatened or path.nearest < -_LARGEST_INTRUSION:
+            self._clear_for = 0.0
             return None
-        return Aside((path.nodes[0] - q) / self._between, path.deviation > _ON_PATH,
-                     self._course)
+        self._clear_for += start.dt
+        if self._clear_for < _PROBATION:
+            return None
+        wanted = (path.nodes[0] - q) / self._between
+        share = 1.0 - math.exp(-start.dt / _SMOOTHING_TIME)
+        return Aside(start.previous + share * (wanted - start.previous),
+                     path.deviation > _ON_PATH, self._course)
 
     def catch_up(self) -> bool:
         """Take the step that the last tick has left; return whether there was one."""
@@ -165,7 +177,10 @@ class EvasivePlan:
         path = self._path
         if path is None or not path.threatened or not self._has_followed:
             nodes = np.tile(start.arm.q, (_NODES, 1)) if path is None else path.nodes
-            self._follow(self._improved(start, nodes, around.ahead, _ALL), around)
+            found = self._improved(start, nodes, around.ahead, _ALL)
+            if found is not None:
+                found = found._replace(nodes=nodes + _SHARE_OF_STEP * (found.nodes - nodes))
+            self._follow(found, around)
             return
         self._has_followed = False
         attempt = self._attempt or self._begun(start)

@@ -7,6 +7,7 @@ from conftest import make_panda, make_paper_arm, PANDA_READY
 import numpy as np
 import pytest
 
+from benchmark.judge import reversals
 from redundant_planner.core.horizon import evasive_plan
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
@@ -72,6 +73,16 @@ def test_it_leaves_its_path_less_far_than_one_that_only_keeps_away(through_the_h
     monkeypatch.setattr(evasive_plan.EvasivePlan, 'aside', lambda *_: None)
     driven = Passing('hand', [0.0, -0.25, 0.0])
     assert driven.off.max() > 1.1 * through_the_hand.off.max()
+
+
+@pytest.mark.parametrize('link, velocity', [
+    ('hand', [0.0, -0.25, 0.0]), ('link4', [0.2, 0.1, 0.0]), ('link6', [0.1, 0.2, 0.1])])
+def test_it_goes_out_and_back_without_shaking(link, velocity):
+    """Taken as they come, the steps of the plan would reverse the joints 400 to 700 times."""
+    run = Passing(link, velocity)
+    assert run.off.max() > 0.01
+    change = np.diff([r.dq for r in run.results], axis=0) / DT
+    assert reversals(change, run.robot.acceleration_max) < 15 * run.robot.n
 
 
 def test_what_null_space_motion_gets_past_does_not_take_the_tip_off_its_path():

@@ -10,8 +10,8 @@ from path_problem import problem
 import pytest
 
 from benchmark.generator import generate
+from benchmark.judge import reversals
 from benchmark.scenarios import make_robot
-from benchmark.smoothness import reversals
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.look_ahead import LookAhead
 from redundant_planner.core.horizon.path_qp import Measures, moved_on, Plan

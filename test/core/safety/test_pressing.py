@@ -7,7 +7,7 @@ from conftest import make_panda, PANDA_READY
 import numpy as np
 import pytest
 
-from benchmark.smoothness import reversals
+from benchmark.judge import reversals
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
