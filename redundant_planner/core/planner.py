@@ -237,8 +237,8 @@ class Planner:
         Returns:
             Whether it improved a path, which takes longer than most ticks.
         """
-        self._watch.prepare(scene, self._last.dq)
-        looked_ahead = self._look_ahead.catch_up()
+        chose = self._watch.prepare(scene, self._last.dq)
+        looked_ahead = self._look_ahead.catch_up(chose)
         return self._evasive.catch_up() or looked_ahead
 
     def step(
@@ -345,7 +345,7 @@ class Planner:
             path = self._look_ahead.velocity(
                 start, around.ahead, ahead,
                 busy=aside is not None or self._evasion.spent > _MANY_DISTANCES,
-                chose=self._watch.chose)
+                chose=self._watch.chose, chose_ahead=self._watch.chose_ahead)
             guided = 0.0 if path is None else self._look_ahead.guided
             if aside is not None and not aside.leaves:
                 path, guided = aside.velocity, 1.0

@@ -56,7 +56,7 @@ _SHARE_OF_STEP = 0.5
 # again before it has kept clear for so long [m], [s]: it may be beyond that at every other look.
 _LARGEST_INTRUSION, _PROBATION = 0.01, 0.05
 # Time over which the velocity goes over to that of the path [s].
-_SMOOTHING_TIME = 0.04
+_SMOOTHING_TIME = 0.03
 
 
 class Aside(NamedTuple):

@@ -72,8 +72,8 @@ class LookAhead:
     """The joint path ahead of one arm, and how much of the null-space motion follows it.
 
     A step that improves the path takes longer than the rest of a tick. It is left to `catch_up`,
-    once the tick's command is out, and the next tick uses it. Only a first path is planned at
-    once.
+    once the tick's command is out, and the next tick uses it. Where obstacles had to be chosen
+    meanwhile, it waits for a tick. Only a first path is planned at once.
 
     Attributes:
         guided: share of the null-space motion that follows it; 1 for `variational`.
@@ -102,6 +102,7 @@ class LookAhead:
         self._velocity: Array | None = None
         self._has_planned = False
         self._due: _Due | None = None
+        self._waited = False  # what is due, for a tick
         self._prepared = False  # whether the arm has just started on a path planned before
         self._age = 0.0  # of the path, or of the attempt to find one [s]
         self._command: Array = np.zeros(6)
@@ -127,7 +128,7 @@ class LookAhead:
 
     def velocity(
         self, start: Start, obstacles: InflatedObstacles, ahead: Preview | TwistAhead | None,
-        *, busy: bool, chose: bool,
+        *, busy: bool, chose: bool, chose_ahead: bool,
     ) -> Array | None:
         """Return the velocity (n,) of the shortest joint path ahead, None where there is none.
 
@@ -136,11 +137,12 @@ class LookAhead:
             obstacles: the nearest obstacles.
             ahead: see `Planner.step`.
             busy: whether the tick has other work to do that takes long.
-            chose: whether it has chosen its obstacles anew.
+            chose, chose_ahead: whether it has chosen its obstacles anew, see `ObstacleWatch`.
         """
         if self._robot.n <= self._robot.m:
             return None if self.guided == 0.0 else np.zeros(self._robot.n)
-        self.catch_up()
+        self.catch_up(chose_ahead)
+        self._waited = self._due is not None
         self._age += start.dt
         oldest = OLDEST_PATH_CHOOSING if chose else _OLDEST_PATH if busy else 0.0
         if isinstance(ahead, Preview):
@@ -185,11 +187,17 @@ class LookAhead:
                   else self._controlled * ahead(times))
         self._due = _Due(start, obstacles, twists, elapsed)
         if not self._has_planned:
-            self.catch_up()
+            self.catch_up(chose_ahead=False)
         self._has_planned = True
 
-    def catch_up(self) -> bool:
-        """Take the step that the last tick has left; return whether there was one."""
+    def catch_up(self, chose_ahead: bool) -> bool:
+        """Take the step that the last tick has left; return whether it did.
+
+        Args:
+            chose_ahead: whether obstacles had to be chosen after that tick.
+        """
+        if chose_ahead and not self._waited:
+            return False
         due, self._due = self._due, None
         if due is None or self._horizon is None:
             return False

@@ -32,6 +32,7 @@ class ObstacleWatch:
     Attributes:
         fastest: speed of the scene's fastest obstacle [m/s].
         chose: whether this tick, or `prepare` before it, had to choose from many obstacles.
+        chose_ahead: whether that was before the arm's new posture was known.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class ObstacleWatch:
         """Forget what was chosen, and for which posture."""
         self._around: Surroundings | None = None
         self._everywhere: tuple[Scene, InflatedObstacles] | None = None
-        self.chose = self._prepared = False
+        self.chose = self.chose_ahead = self._prepared = False
         # Of the last tick: where the arm was, and the tick's length.
         self._last: tuple[Kinematics, float] | None = None
         # The scene and velocity that `prepare` has dealt with since then.
@@ -66,19 +67,24 @@ class ObstacleWatch:
         # Velocity, the fastest obstacle, the tick's length, and the reach that follows from them.
         self._reached: tuple[Array, float, float, Array] | None = None
 
-    def prepare(self, scene: Scene, previous: Array) -> None:
-        """Choose what holds for a while from the last tick's posture and velocity (n,) on."""
+    def prepare(self, scene: Scene, previous: Array) -> bool:
+        """Choose what holds for a while from the last tick's posture and velocity (n,) on.
+
+        Returns:
+            Whether there was a choice to make for the next tick.
+        """
         if scene is not self._scene:
             self._scene, self.fastest = scene, float(scene.speeds.max(initial=0.0))
             self._prepared = False
         done_for = self._prepared_for
         if self._last is None or (
                 done_for and done_for[0] is scene and done_for[1] is previous):
-            return
+            return self._prepared
         arm, dt = self._last
         self._surroundings(scene, arm, previous, dt, to_spare=True)
         self._prepared = self._prepared or self.chose
         self._prepared_for = scene, previous
+        return self._prepared
 
     def look(self, scene: Scene, arm: Kinematics, previous: Array, dt: float) -> Surroundings:
         """Return the obstacles that can matter, for links with the clearance margin.
@@ -89,7 +95,7 @@ class ObstacleWatch:
             previous: (n,) velocity of the last tick.
             dt: [s].
         """
-        self.prepare(scene, previous)
+        self.chose_ahead = self.prepare(scene, previous)
         self._last, self._prepared_for = (arm, dt), None
         around = self._surroundings(scene, arm, previous, dt)
         self.chose, self._prepared = self.chose or self._prepared, False

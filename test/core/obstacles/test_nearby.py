@@ -171,8 +171,9 @@ def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch)
     assert len(scene.names) > nearby.FEW
 
 
+@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
 @pytest.mark.parametrize('count', [60, 600])
-def test_to_prepare_changes_nothing_but_when_it_chooses(count, monkeypatch):
+def test_to_prepare_changes_nothing_but_when_it_chooses(count, method, monkeypatch):
     """Among few and among too many obstacles, with now and then a new scene."""
     scenes = [cloud(count, seed, extent=2.0, speed=0.1) for seed in range(4)]
     (start,) = random_postures(PANDA, 1, 3)
@@ -184,7 +185,7 @@ def test_to_prepare_changes_nothing_but_when_it_chooses(count, monkeypatch):
         return surroundings(*arguments)
 
     monkeypatch.setattr('redundant_planner.core.obstacles.watch.surroundings', noted)
-    planners = [Planner(PANDA, PlannerParameters()) for _ in range(2)]
+    planners = [Planner(PANDA, PlannerParameters(method=method)) for _ in range(2)]
     q = start
     for i in range(240):
         scene = scenes[i // 30 % 4]
