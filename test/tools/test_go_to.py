@@ -183,7 +183,8 @@ def test_somebody_elses_pause_goes_on_and_a_planner_that_ends_is_missed():
         ros.call(SetBool, 'pause', SetBool.Request(data=False))
         ros.commands.clear()
         process = run(ros, *far(ros))
-        ros.wait_for(ros.moves, 'motion')
+        # Half a second of it, so that go_to has had word of the target.
+        ros.wait_for(lambda: ros.moves() and len(ros.commands) > 125, 'motion')
         planner.terminate()
         status, _, err = end(ros, process)
         assert status == 2 and 'no word of the target for 5 s' in err
