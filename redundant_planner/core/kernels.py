@@ -32,6 +32,7 @@ from numba.core.bytecode import FunctionIdentity
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.borrowed_arrays import borrowed, owned
 from redundant_planner.core.machine_code_cache import machine_code_folder, seal
 
 # Arrays of 1, 2, 3 and 4 dimensions. As arguments in any order and read-only or not; as fields
@@ -84,16 +85,16 @@ def entry(function: _Function) -> _Function:
 
     Numba takes arrays and numbers over from Python in half the time that NamedTuples of them
     need. All NamedTuples are therefore taken apart on the one side and put together on the
-    other. They may be arguments, the result, and fields of either.
+    other. They may be arguments, the result, and fields of either. Arrays are borrowed from the
+    caller, and those among them that are returned are copied.
     """
     if numba.config.DISABLE_JIT:
         return function
     records = {name: _record(str(annotation), function.__globals__)
                for name, annotation in function.__annotations__.items()}
     result = records.pop('return', None)
-    inner = _compile(
-        _taking_fields(function, records, result),
-        tuple(itertools.chain(*map(_field_types, _argument_types(function)))), {})
+    arguments = tuple(itertools.chain(*map(_field_types, _argument_types(function))))
+    inner = _compile(_taking_fields(function, records, result, arguments), arguments, {})
     handed = ', '.join(_handed(name, record) for name, record in records.items())
     returned, made = 'found', 'found'
     if result is not None:
@@ -161,23 +162,27 @@ def _made(name: str, record: Any, pattern: str) -> str:
     return pattern.format(name=record.__name__, fields=fields)
 
 
-def _taking_fields(function: Any, records: dict[str, Any], result: Any) -> Any:
+def _taking_fields(
+    function: Any, records: dict[str, Any], result: Any, arguments: tuple[types.Type, ...],
+) -> Any:
     """Return a function that takes and returns the fields of NamedTuples one by one.
 
-    Its source gets the lines `arm = Kinematics(arm_q, ...)` that would otherwise stand in every
-    such function. It keeps its file and its line numbers: debuggers and Numba's cache go by
-    them.
+    Its source gets the lines `arm_q = borrowed(arm_q)` and `arm = Kinematics(arm_q, ...)` that
+    would otherwise stand in every such function. It keeps its file and its line numbers:
+    debuggers and Numba's cache go by them.
     """
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     definition = tree.body[0]
     assert isinstance(definition, ast.FunctionDef)
     definition.decorator_list = []
-    if result is not None:
-        definition = _PlainReturns(result).visit(definition)
+    definition = _PlainReturns(result).visit(definition)
     definition.args.args = [
         ast.arg(leaf) for name, record in records.items() for leaf, _ in _leaves(name, record)]
-    lines = [f'{name} = {_made(name, record, "{name}({fields})")}'
-             for name, record in records.items() if record]
+    lines = [f'{leaf} = borrowed({leaf})' for leaf, kind in zip(
+        (leaf.arg for leaf in definition.args.args), arguments, strict=True)
+        if isinstance(kind, types.Array)]
+    lines += [f'{name} = {_made(name, record, "{name}({fields})")}'
+              for name, record in records.items() if record]
     first = 0 if ast.get_docstring(definition) is None else 1
     definition.body[first:first] = ast.parse('\n'.join(lines)).body
     ast.fix_missing_locations(tree)
@@ -186,19 +191,21 @@ def _taking_fields(function: Any, records: dict[str, Any], result: Any) -> Any:
     code = compile(tree, function.__code__.co_filename, 'exec', dont_inherit=True,
                    flags=__future__.annotations.compiler_flag)
     names = {cls.__name__: cls for record in records.values() for cls in _classes(record).values()}
-    exec(code, {**names, **function.__globals__}, scope)
+    exec(code, {**names, **function.__globals__, 'borrowed': borrowed, 'owned': owned}, scope)
     return scope[function.__name__]
 
 
 class _PlainReturns(ast.NodeTransformer):
-    """Makes `return x` return the fields of a NamedTuple x."""
+    """Makes `return x` return what Python may keep of x, the fields if it is a NamedTuple."""
 
     def __init__(self, record: Any) -> None:
-        leaves = ''.join(f'{value}, ' for _, value in _leaves('returned', record))
-        self._plain = ast.parse(f'returned = 0\nreturn ({leaves})').body
+        leaves = [f'owned({value})' for _, value in _leaves('returned', record)]
+        plain = leaves[0] if record is None else f'({", ".join(leaves)},)'
+        self._plain = ast.parse(f'returned = 0\nreturn {plain}').body
 
     def visit_Return(self, node: ast.Return) -> list[ast.stmt]:
-        assert node.value is not None
+        if node.value is None:
+            return [node]
         assignment, answer = copy.deepcopy(self._plain)
         assert isinstance(assignment, ast.Assign)
         assignment.value = node.value

@@ -27,7 +27,13 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.redundancy.command import limited_twist
-from redundant_planner.core.redundancy.reference import followed_pose, Start, Task
+from redundant_planner.core.redundancy.reference import (
+    Caps,
+    followed_pose,
+    reference_of,
+    Start,
+    Task,
+)
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -371,7 +377,7 @@ class Planner:
             followed, reached = arm.jacobian @ result.dq, None
             self._way.went_on(result, dt)
         else:
-            followed, reached = self._followed(result, desired, arm.jacobian, dt)
+            followed, reached = self._followed(result, desired, start)
         leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
         if result.stage is Stage.SLIDING:  # as commanded, which no free way back overrules
             self._back.reset()
@@ -534,23 +540,26 @@ class Planner:
         return min(max(share, 0.0), 1.0)
 
     def _followed(
-        self, result: Filtered, desired: Wish, jacobian: Array, dt: float,
+        self, result: Filtered, desired: Wish, start: Start,
     ) -> tuple[Array, Pose]:
         """Return the part (m,) of the path that is followed, and the reference pose after it.
 
         Neither the feedback nor motion that yields is a part of it.
         """
-        task = desired.task
+        task, arm, constants = desired.task, start.arm, self._constants
         if not self._filtered:
-            followed = jacobian @ result.dq + task.turning - task.feedback
+            followed = arm.jacobian @ result.dq + task.turning - task.feedback
         elif result.stage is Stage.DESIRED:
             return task.commanded, desired.reached
         elif result.stage is Stage.SLIDING:  # the path goes on from where the tip gets to
-            followed = jacobian @ result.dq + task.turning - task.feedback
+            followed = arm.jacobian @ result.dq + task.turning - task.feedback
         else:
             followed = result.scale * task.commanded + result.residual * self._last.followed
+        reference = reference_of(
+            start.reference, Pose(arm.tip_position, arm.tip_rotation), constants.rows,
+            constants.in_tool, Caps(self._gains.feedback_distance, self._gains.feedback_angle))
         return followed, followed_pose(
-            task.reference, followed, self._constants.rows, self._constants.in_tool, dt)
+            reference, followed, constants.rows, constants.in_tool, start.dt)
 
     def _reason(
         self, result: Filtered, desired: Wish, around: Surroundings, aim: _Aim,

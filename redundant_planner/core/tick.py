@@ -239,7 +239,7 @@ def wish(
     arm, obstacles, scaling, dt = start.arm, world.obstacles, constants.scaling, start.dt
 
     # ẋ: the command plus the feedback to the reference pose.
-    task = task_of(start, constants, gains)
+    task, reference = task_of(start, constants, gains)
 
     # J⁺ẋ, in coordinates in which every joint costs the same.
     parts = null_space.decompose(arm.jacobian * scaling)
@@ -305,7 +305,7 @@ def wish(
             dq, arm.q, start.previous, limits, barriers, gains.clearance_gain, dt))
     return Wish(
         dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts), task,
-        pose_after(task.reference, commanded, constants.rows, constants.in_tool, dt),
+        pose_after(reference, commanded, constants.rows, constants.in_tool, dt),
         room, at, intruded, near.nearest_link, near.nearest_obstacle,
         near.nearest_normalized_distance, near.nearest_distance, admissible,
         _blocked(near, obstacles, arm, links, least_norm, limits, gains.horizon_look_ahead), share)

@@ -98,6 +98,30 @@ def test_records_cross_over_to_an_entry_and_back():
             split(*wrong)
 
 
+def test_what_an_entry_returns_is_the_callers_to_keep():
+    @entry
+    def parts(pair: Halves, plain: Vector) -> Halves:
+        return Halves(pair.first, pair.second[1:3])
+
+    @entry
+    def middle(pair: Halves, plain: Vector) -> Vector:
+        return plain[1:3]
+
+    @entry
+    def fill(pair: Halves, out: OutVector) -> None:
+        out[:] = pair.first
+
+    pair, plain = Halves(np.arange(3.0), np.arange(4.0)), np.arange(8.0)[::2]
+    kept = (*parts(pair, plain), middle(pair, plain))
+    for taken in (*pair, plain):
+        taken[:] = -1.0
+    for found, expected in zip(kept, ([0.0, 1.0, 2.0], [1.0, 2.0], [2.0, 4.0]), strict=True):
+        assert found.base is not None or found.flags.owndata
+        np.testing.assert_array_equal(found, expected)
+    fill(pair, kept[0])  # where Python's own arrays are to be filled, they are
+    np.testing.assert_array_equal(kept[0], pair.first)
+
+
 def test_records_go_into_compiled_functions_and_arrays_can_be_filled():
     @compiled
     def fill(pairs: LinkPairs, weights: Matrix, result: OutVector) -> float:

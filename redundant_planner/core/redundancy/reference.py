@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Vector
+from redundant_planner.core.kernels import entry, Indices, kernel, Matrix, Vector
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.jacobian import jdot_qdot
 from redundant_planner.core.robot.kinematics import Kinematics
@@ -29,12 +29,10 @@ class Task(NamedTuple):
     Attributes:
         twists: (3, m) the three below.
         error: (6,) reference pose minus the tip's.
-        reference: the reference pose; one that is out of reach is brought along.
     """
 
     twists: Matrix
     error: Vector
-    reference: Pose
 
     @property
     def commanded(self) -> Array:
@@ -107,9 +105,9 @@ def _brought_along(
     return kept, reference
 
 
-@compiled
-def task_of(start: Start, constants: RobotConstants, gains: Gains) -> Task:
-    """Return what the tip shall do in this tick: ẋ.
+@kernel
+def task_of(start: Start, constants: RobotConstants, gains: Gains) -> tuple[Task, Pose]:
+    """Return what the tip shall do in this tick, ẋ, and the reference pose.
 
     A reference that is out of reach, or has drifted on axes that are not controlled, is brought
     along.
@@ -130,7 +128,7 @@ def task_of(start: Start, constants: RobotConstants, gains: Gains) -> Task:
         # J turns while the arm moves: half of that belongs to the tick ahead.
         twists[2] = 0.5 * start.dt * jdot_qdot(
             arm.tip_jacobian, start.previous, arm.tip_rotation, constants.in_tool, rows)
-    return Task(twists, kept, reference)
+    return Task(twists, kept), reference
 
 
 @entry
