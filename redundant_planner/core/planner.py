@@ -37,7 +37,12 @@ from redundant_planner.core.redundancy.reference import (
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.core.safety.barriers import without_null_space
+from redundant_planner.core.safety.barriers import (
+    Barriers,
+    barriers_in,
+    room_for_rows,
+    without_null_space,
+)
 from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, window_of
 from redundant_planner.core.safety.limits import can_stop, slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
@@ -166,7 +171,7 @@ class Planner:
         # Nothing has changed where one of these refused the parameters.
         self._parameters, self._weights, self._limits = parameters, weights, limits
         self._constants, self._gains = constants, gains
-        self._links = self._never_measured()
+        self._memory = self._new_memory()
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
         self._way = Way(robot, parameters, limits, constants, gains)
@@ -203,15 +208,17 @@ class Planner:
             self.robot, self.robot.kinematics(q), scene,
             AllowedContacts(self._parameters.allowed_contacts, self.robot))
 
-    def _never_measured(self) -> Memory:
-        return Memory(np.full(self.robot.n, np.nan), np.empty(len(self._constants.self_pairs)))
+    def _new_memory(self) -> Memory:
+        constants = self._constants
+        return Memory(np.full(self.robot.n, np.nan), np.empty(len(constants.self_pairs)),
+                      room_for_rows(constants))
 
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
         self._last = self._at_rest()
         self._mean.start(1, self._last.dq)
         self._observer.reset()
-        self._links = self._never_measured()
+        self._memory = self._new_memory()
         self._look_ahead.reset()
         self._way.reset()
         self._back.reset()
@@ -291,20 +298,21 @@ class Planner:
         world = World(
             around.maps, around.start, around.end, around.range, aim.turn,
             last.dq if aim.path is None else aim.path, aim.guided, self._observer.strayed)
-        desired = wish(start, world, self._links, self._constants, self._limits, self._gains)
+        desired = wish(start, world, self._memory, self._constants, self._limits, self._gains)
 
         # Guard: every limit and barrier, docs/safety.md.
         crowded = joints is None and self._switch(desired, around, aim.commanded, dt)
-        result, reason = Filtered.untouched(desired.dq), ''
-        leaves = aim.aside is not None and aim.aside.leaves
+        wanted, least_norm, homogeneous = desired.motions
+        leaves, reason = aim.aside is not None and aim.aside.leaves, ''
         if joints is not None:
-            desired = desired._replace(dq=joints.wanted)
-            result = Filtered.untouched(desired.dq)
+            wanted = joints.wanted
         elif aim.aside is not None and leaves:
-            desired = desired._replace(dq=aim.aside.velocity)
+            wanted = aim.aside.velocity
+        result = Filtered.untouched(wanted)
         if self._filtered and (joints is not None or leaves or not desired.admissible):
-            result = self._filter(desired, start, joints, leaves=leaves)
-            reason = self._reason(result, desired, around, aim)
+            barriers = barriers_in(self._memory.rows, desired.rows_used)
+            result = self._filter(desired, wanted, barriers, start, joints, leaves=leaves)
+            reason = self._reason(result, barriers, around, aim)
         result, slower = self._slow_down.slowed(
             result, scene, arm, start.previous, dt * self._limits.acceleration_max)
         fallbacks = '; '.join(self._fallbacks(
@@ -315,7 +323,7 @@ class Planner:
         # Remember: where the tip should be, and how fast the arm is.
         self._remember(result, desired, start, joints is not None, target is not None)
         return StepResult(
-            self._last.sent.copy(), desired.least_norm, desired.homogeneous, desired.factor,
+            self._last.sent.copy(), least_norm, homogeneous, desired.factor,
             result.scale, result.stage, '; '.join(filter(None, reasons)), fallbacks,
             desired.clearance_index, self._nearest(desired, around),
             desired.manipulability, pose, desired.task.error, jerk_kept,
@@ -491,27 +499,28 @@ class Planner:
         return fallbacks
 
     def _filter(
-        self, desired: Wish, start: Start, joints: JointMotion | None, *, leaves: bool,
+        self, desired: Wish, wanted: Array, barriers: Barriers, start: Start,
+        joints: JointMotion | None, *, leaves: bool,
     ) -> Filtered:
-        """Return the velocity nearest to the desired one that breaks no limit and no barrier."""
+        """Return the velocity nearest to the wanted one (n,) that breaks no limit and barrier."""
         p, task, limits = self._parameters, desired.task, self._limits
         jacobian = start.arm.jacobian
         if desired.unseen_share < 1.0:
             limits = limits._replace(velocity_max=slowed_limits(
                 start.previous, limits.velocity_max, limits.acceleration_max,
                 desired.unseen_share, start.dt))
-        barriers = without_null_space(desired.barriers)
+        if joints is not None or leaves:
+            barriers = without_null_space(barriers)
         if joints is not None:
             request = joints.request(start.arm.q, start.previous)
         elif leaves:
-            twist = jacobian @ desired.dq
-            request = Request(desired.dq, jacobian, twist, twist, np.zeros_like(twist),
+            twist = jacobian @ wanted
+            request = Request(wanted, jacobian, twist, twist, np.zeros_like(twist),
                               start.arm.q, start.previous)
         else:
             request = Request(
-                desired.dq, jacobian, task.commanded + task.feedback, task.feedback,
+                wanted, jacobian, task.commanded + task.feedback, task.feedback,
                 task.turning, start.arm.q, start.previous)
-            barriers = desired.barriers
         result = safe_velocity(
             request, limits, barriers, weights=self._weights, gain=p.clearance_gain,
             may_yield=leaves or (desired.intruded and p.path_priority != 'strict'),
@@ -562,13 +571,13 @@ class Planner:
             reference, followed, constants.rows, constants.in_tool, start.dt)
 
     def _reason(
-        self, result: Filtered, desired: Wish, around: Surroundings, aim: _Aim,
+        self, result: Filtered, barriers: Barriers, around: Surroundings, aim: _Aim,
     ) -> str:
         """Say what holds the arm back."""
         start, aside = aim.start, aim.aside
         change = np.abs(result.dq - self._last.dq) / (start.dt * self._limits.acceleration_max)
         return reason_for(
-            result, desired.barriers, around, self.robot, change, start.arm.q, self._way_out,
+            result, barriers, around, self.robot, change, start.arm.q, self._way_out,
             commanded=aim.commanded,
             course=aside.course if aside is not None and aside.leaves else '')
 

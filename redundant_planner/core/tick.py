@@ -26,12 +26,7 @@ from redundant_planner.core.robot.jacobian import derivative_between
 from redundant_planner.core.robot.kinematics import Kinematics, Links
 from redundant_planner.core.robot.se3 import Place, place, Pose
 from redundant_planner.core.safety import barriers as rows
-from redundant_planner.core.safety.barriers import (
-    Barriers,
-    barriers_in,
-    barriers_in_compiled,
-    Rows,
-)
+from redundant_planner.core.safety.barriers import barriers_in_compiled, Rows
 from redundant_planner.core.safety.limits import Limits, stopping_time
 from redundant_planner.core.safety.pace import pace, unseen_distances, unseen_share
 
@@ -42,15 +37,17 @@ _LOOKS = 12
 
 
 class Memory(NamedTuple):
-    """When the links were last measured against each other; the tick brings it up to date.
+    """What each tick writes for the next, and for the rest of its own.
 
     Attributes:
-        known_at: (n,) where; NaN if never.
+        known_at: (n,) where the links were last measured against each other; NaN if never.
         known: (p,) what was found there [m].
+        rows: the tick's barriers, in the first of these rows.
     """
 
     known_at: OutVector
     known: OutVector
+    rows: Rows
 
 
 class World(NamedTuple):
@@ -79,28 +76,25 @@ class Wish(NamedTuple):
     """What the method asks for, and what the safety filter needs to know.
 
     Attributes:
-        dq: (n,) Eq. 1.
-        least_norm, homogeneous, factor, clearance_index, manipulability: see `StepResult`.
+        motions: (3, n) q̇ of Eq. 1, J⁺ẋ and k P∇H, see `StepResult`.
+        factor, clearance_index, manipulability: see `StepResult`.
         task: what the tip shall do.
         reached: the reference pose after the tick if the whole command is followed.
-        rows, rows_used: the barriers, in the first of these rows.
+        rows_used: how many of the memory's rows are barriers.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
         nearest_link, nearest_obstacle, nearest_normalized_distance, nearest_distance: see
             `NearPairs`.
-        admissible: whether `dq` breaks no limit and no barrier.
+        admissible: whether q̇ breaks no limit and no barrier.
         blocked: whether the least-norm motion, gone on with, leads into something.
         unseen_share: of the fastest motion, see `pace.unseen_share`.
     """
 
-    dq: Vector
-    least_norm: Vector
-    homogeneous: Vector
+    motions: Matrix
     factor: float
     clearance_index: float
     manipulability: float
     task: Task
     reached: Pose
-    rows: Rows
     rows_used: int
     intruded: bool
     nearest_link: int
@@ -110,11 +104,6 @@ class Wish(NamedTuple):
     admissible: bool
     blocked: bool
     unseen_share: float
-
-    @property
-    def barriers(self) -> Barriers:
-        """What must not be used up in the tick."""
-        return barriers_in(self.rows, self.rows_used)
 
 
 class LeastNorm(NamedTuple):
@@ -277,14 +266,15 @@ def wish(
         homogeneous = (1.0 - world.guided) * factor * projected
     if world.guided > 0.0:
         homogeneous += world.guided * null_space.project(parts, world.path / scaling)
-    least_norm, homogeneous = scaling * least.motion, scaling * homogeneous
-    dq = least_norm + homogeneous  # Eq. 1
+    motions = np.empty((3, len(scaling)))
+    dq, least_norm = motions[0], motions[1]
+    least_norm[:], motions[2] = scaling * least.motion, scaling * homogeneous
+    dq[:] = least_norm + motions[2]  # Eq. 1
 
     # The barriers. To evade, any null-space speed is better than leaving the path.
     intruded, turn = rows.is_intruded(near, obstacles, world.turn), world.turn
-    room = rows.room_for(
-        len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 4, len(dq))
-    found = barriers_in_compiled(room, len(room.gradient))
+    found = rows.cleared(
+        memory.rows, len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 4)
     at = rows.obstacle_rows(
         found, 0, near, obstacles, gains.clearance_lead,
         rows.strayed_distances(world.strayed, constants))
@@ -296,7 +286,7 @@ def wish(
     at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
     if not intruded:
         at = rows.self_motion_row(found, at, start, parts, limits, constants)
-    barriers = barriers_in_compiled(room, at)
+    barriers = barriers_in_compiled(memory.rows, at)
 
     share = unseen_share(near.unseen, can)
     admissible = (
@@ -304,8 +294,8 @@ def wish(
         and rows.admissible(
             dq, arm.q, start.previous, limits, barriers, gains.clearance_gain, dt))
     return Wish(
-        dq, least_norm, homogeneous, factor, level, null_space.manipulability(parts), task,
+        motions, factor, level, null_space.manipulability(parts), task,
         pose_after(reference, commanded, constants.rows, constants.in_tool, dt),
-        room, at, intruded, near.nearest_link, near.nearest_obstacle,
+        at, intruded, near.nearest_link, near.nearest_obstacle,
         near.nearest_normalized_distance, near.nearest_distance, admissible,
         _blocked(near, obstacles, arm, links, least_norm, limits, gains.horizon_look_ahead), share)

@@ -17,7 +17,7 @@ from redundant_planner.core.kernels import compiled, IndexPairs, Indices, kernel
 from redundant_planner.core.obstacles.clearance_gradients import bending
 from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
-from redundant_planner.core.obstacles.near_pairs import NearPairs
+from redundant_planner.core.obstacles.near_pairs import MOST_ACTING, NearPairs
 from redundant_planner.core.obstacles.self_collision import NearLinks
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
@@ -79,7 +79,7 @@ class Barriers(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Room for the rows of a tick, in as few arrays as can be: each costs time to hand over.
+    """Room for a tick's rows, in as few arrays as can be: each costs time to hand over.
 
     Attributes:
         gradient: (b, n) see `Barriers`.
@@ -166,10 +166,18 @@ def admissible(
     return True
 
 
+def room_for_rows(constants: RobotConstants) -> Rows:
+    """Return room for as many rows as a tick of this robot may have."""
+    n = len(constants.scaling)
+    most = MOST_ACTING + 2 * n + len(constants.self_pairs) + 4
+    return Rows(np.empty((most, n)), np.empty((3, most)), np.empty((3, most), np.intp))
+
+
 @kernel
-def room_for(rows: int, n: int) -> Rows:
-    """Return so many rows to be filled."""
-    return Rows(np.zeros((rows, n)), np.zeros((3, rows)), np.full((3, rows), -1))
+def cleared(rows: Rows, count: int) -> Barriers:
+    """Return the first rows, as views, with nothing in them."""
+    rows.gradient[:count], rows.terms[:, :count], rows.about[:, :count] = 0.0, 0.0, -1
+    return barriers_in_compiled(rows, count)
 
 
 @kernel
