@@ -63,10 +63,13 @@ _Function = TypeVar('_Function', bound=Callable[..., object])
 def compiled(function: _Function) -> _Function:
     """Compile a function for the argument types that its annotations name.
 
-    They are the names above, float, int, bool, and NamedTuples of these.
-    Division by zero gives infinity or NaN, as in NumPy.
+    They are the names above, float, int, bool, and NamedTuples of these. It borrows its arguments
+    (`borrowed_arrays`): those that it returns are copies. Division by zero gives infinity or NaN,
+    as in NumPy.
     """
-    return _compile(function, _argument_types(function), {})
+    if numba.config.DISABLE_JIT:
+        return function
+    return _compile(_borrowing(function), _argument_types(function), {})
 
 
 def kernel(function: _Function) -> _Function:
@@ -85,16 +88,16 @@ def entry(function: _Function) -> _Function:
 
     Numba takes arrays and numbers over from Python in half the time that NamedTuples of them
     need. All NamedTuples are therefore taken apart on the one side and put together on the
-    other. They may be arguments, the result, and fields of either. Arrays are borrowed from the
-    caller, and those among them that are returned are copied.
+    other. They may be arguments, the result, and fields of either.
     """
     if numba.config.DISABLE_JIT:
         return function
     records = {name: _record(str(annotation), function.__globals__)
                for name, annotation in function.__annotations__.items()}
     result = records.pop('return', None)
-    arguments = tuple(itertools.chain(*map(_field_types, _argument_types(function))))
-    inner = _compile(_taking_fields(function, records, result, arguments), arguments, {})
+    inner = _compile(
+        _taking_fields(function, records, result),
+        tuple(itertools.chain(*map(_field_types, _argument_types(function)))), {})
     handed = ', '.join(_handed(name, record) for name, record in records.items())
     returned, made = 'found', 'found'
     if result is not None:
@@ -162,27 +165,50 @@ def _made(name: str, record: Any, pattern: str) -> str:
     return pattern.format(name=record.__name__, fields=fields)
 
 
-def _taking_fields(
-    function: Any, records: dict[str, Any], result: Any, arguments: tuple[types.Type, ...],
-) -> Any:
+def _taking_fields(function: Any, records: dict[str, Any], result: Any) -> Any:
     """Return a function that takes and returns the fields of NamedTuples one by one.
 
-    Its source gets the lines `arm_q = borrowed(arm_q)` and `arm = Kinematics(arm_q, ...)` that
-    would otherwise stand in every such function. It keeps its file and its line numbers:
-    debuggers and Numba's cache go by them.
+    Its source gets the lines `arm = borrowed(Kinematics(arm_q, ...))` that would otherwise stand
+    in every such function.
+    """
+    arguments = [leaf for name, record in records.items() for leaf, _ in _leaves(name, record)]
+    lines = [f'{name} = borrowed({_made(name, record, "{name}({fields})")})'
+             for name, record in records.items()]
+    leaves = ''.join(f'{value}, ' for _, value in _leaves('returned', result))
+    returned = 'returned' if result is None else f'({leaves})'
+    names = {cls.__name__: cls for record in records.values() for cls in _classes(record).values()}
+    return _rewritten(function, arguments, lines, f'return {returned}', names)
+
+
+def _borrowing(function: Any) -> Any:
+    """Return a function that borrows its arguments, see `borrowed_arrays`."""
+    if _LOCAL in function.__qualname__:
+        return function
+    names = [name for name in function.__annotations__ if name != 'return']
+    return _rewritten(
+        function, names, [f'{name} = borrowed({name})' for name in names], 'return returned', {})
+
+
+def _rewritten(
+    function: Any, arguments: list[str], lines: list[str], answer: str, names: dict[str, Any],
+) -> Any:
+    """Return a function with other arguments, more lines at its beginning, and another answer.
+
+    It keeps its file and its line numbers: debuggers and Numba's cache go by them.
+
+    Args:
+        function: from a file.
+        arguments: their names.
+        lines: what it is to do first.
+        answer: a return statement, of what is in `returned`.
+        names: that the lines use.
     """
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     definition = tree.body[0]
     assert isinstance(definition, ast.FunctionDef)
     definition.decorator_list = []
-    definition = _PlainReturns(result).visit(definition)
-    definition.args.args = [
-        ast.arg(leaf) for name, record in records.items() for leaf, _ in _leaves(name, record)]
-    lines = [f'{leaf} = borrowed({leaf})' for leaf, kind in zip(
-        (leaf.arg for leaf in definition.args.args), arguments, strict=True)
-        if isinstance(kind, types.Array)]
-    lines += [f'{name} = {_made(name, record, "{name}({fields})")}'
-              for name, record in records.items() if record]
+    definition = _Answers(answer).visit(definition)
+    definition.args.args = [ast.arg(name) for name in arguments]
     first = 0 if ast.get_docstring(definition) is None else 1
     definition.body[first:first] = ast.parse('\n'.join(lines)).body
     ast.fix_missing_locations(tree)
@@ -190,25 +216,22 @@ def _taking_fields(
     scope: dict[str, Any] = {}
     code = compile(tree, function.__code__.co_filename, 'exec', dont_inherit=True,
                    flags=__future__.annotations.compiler_flag)
-    names = {cls.__name__: cls for record in records.values() for cls in _classes(record).values()}
     exec(code, {**names, **function.__globals__, 'borrowed': borrowed, 'owned': owned}, scope)
     return scope[function.__name__]
 
 
-class _PlainReturns(ast.NodeTransformer):
-    """Makes `return x` return what Python may keep of x, the fields if it is a NamedTuple."""
+class _Answers(ast.NodeTransformer):
+    """Makes `return x` another answer of which nothing is borrowed."""
 
-    def __init__(self, record: Any) -> None:
-        leaves = [f'owned({value})' for _, value in _leaves('returned', record)]
-        plain = leaves[0] if record is None else f'({", ".join(leaves)},)'
-        self._plain = ast.parse(f'returned = 0\nreturn {plain}').body
+    def __init__(self, answer: str) -> None:
+        self._plain = ast.parse(f'returned = owned(0)\n{answer}').body
 
     def visit_Return(self, node: ast.Return) -> list[ast.stmt]:
         if node.value is None:
             return [node]
         assignment, answer = copy.deepcopy(self._plain)
-        assert isinstance(assignment, ast.Assign)
-        assignment.value = node.value
+        assert isinstance(assignment, ast.Assign) and isinstance(assignment.value, ast.Call)
+        assignment.value.args = [node.value]
         return [ast.copy_location(assignment, node), ast.copy_location(answer, node)]
 
 

@@ -98,6 +98,36 @@ def test_records_cross_over_to_an_entry_and_back():
             split(*wrong)
 
 
+@compiled
+def same(pair: Halves, share: float) -> tuple[Halves, Vector]:
+    """Return two halves as they are, or a share of them."""
+    if share == 1.0:
+        return pair, pair.second[1:]
+    return Halves(share * pair.first, share * pair.second), pair.second[1:]
+
+
+@compiled
+def doubled(values: Vector, share: float) -> tuple[Halves, Vector]:
+    """Return what `same` does of arrays that live no longer than this call."""
+    twice = values * 2.0
+    return same(Halves(twice, twice), share)
+
+
+@pytest.mark.parametrize('share', [1.0, 0.5])
+def test_what_a_compiled_function_returns_is_the_callers_to_keep(share):
+    pair = Halves(np.arange(3.0), np.arange(4.0))
+    found, rest = same(pair, share)
+    twice, end = doubled(np.arange(3.0), share)
+    for taken in pair:
+        taken[:] = -1.0
+    [np.full(3, -2.0) for _ in range(1000)]  # would take the place of arrays that were given up
+    np.testing.assert_array_equal(found.first, share * np.arange(3.0))
+    np.testing.assert_array_equal(found.second, share * np.arange(4.0))
+    np.testing.assert_array_equal(rest, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(twice, [2.0 * share * np.arange(3.0)] * 2)
+    np.testing.assert_array_equal(end, [2.0, 4.0])
+
+
 def test_what_an_entry_returns_is_the_callers_to_keep():
     @entry
     def parts(pair: Halves, plain: Vector) -> Halves:
