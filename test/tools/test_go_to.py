@@ -184,7 +184,9 @@ def test_somebody_elses_pause_goes_on_and_a_planner_that_ends_is_missed():
         ros.commands.clear()
         process = run(ros, *far(ros))
         # Half a second of it, so that go_to has had word of the target.
-        ros.wait_for(lambda: ros.moves() and len(ros.commands) > 125, 'motion')
+        ros.wait_for(ros.moves, 'motion')
+        ros.commands.clear()
+        ros.wait_for(lambda: ros.moves() and len(ros.commands) > 125, 'half a second of motion')
         planner.terminate()
         status, _, err = end(ros, process)
         assert status == 2 and 'no word of the target for 5 s' in err
