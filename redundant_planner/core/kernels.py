@@ -173,7 +173,7 @@ def _taking_fields(function: Any, records: dict[str, Any], result: Any) -> Any:
     """
     arguments = [leaf for name, record in records.items() for leaf, _ in _leaves(name, record)]
     lines = [f'{name} = borrowed({_made(name, record, "{name}({fields})")})'
-             for name, record in records.items()]
+             for name, record in records.items() if function.__annotations__[name] not in _SCALARS]
     leaves = ''.join(f'{value}, ' for _, value in _leaves('returned', result))
     returned = 'returned' if result is None else f'({leaves})'
     names = {cls.__name__: cls for record in records.values() for cls in _classes(record).values()}
@@ -186,7 +186,9 @@ def _borrowing(function: Any) -> Any:
         return function
     names = [name for name in function.__annotations__ if name != 'return']
     return _rewritten(
-        function, names, [f'{name} = borrowed({name})' for name in names], 'return returned', {})
+        function, names, [f'{name} = borrowed({name})' for name in names
+                          if function.__annotations__[name] not in _SCALARS],
+        'return returned', {})
 
 
 def _rewritten(
@@ -207,7 +209,8 @@ def _rewritten(
     definition = tree.body[0]
     assert isinstance(definition, ast.FunctionDef)
     definition.decorator_list = []
-    definition = _Answers(answer).visit(definition)
+    if function.__annotations__.get('return') not in _SCALARS:
+        definition = _Answers(answer).visit(definition)
     definition.args.args = [ast.arg(name) for name in arguments]
     first = 0 if ast.get_docstring(definition) is None else 1
     definition.body[first:first] = ast.parse('\n'.join(lines)).body

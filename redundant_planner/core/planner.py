@@ -502,7 +502,7 @@ class Planner:
         self, desired: Wish, wanted: Array, barriers: Barriers, start: Start,
         joints: JointMotion | None, *, leaves: bool,
     ) -> Filtered:
-        """Return the velocity nearest to the wanted one (n,) that breaks no limit and barrier."""
+        """Return the admissible velocity nearest to the wanted one (n,)."""
         p, task, limits = self._parameters, desired.task, self._limits
         jacobian = start.arm.jacobian
         if desired.unseen_share < 1.0:
