@@ -181,7 +181,10 @@ def _taking_fields(function: Any, records: dict[str, Any], result: Any) -> Any:
 
 
 def _borrowing(function: Any) -> Any:
-    """Return a function that borrows its arguments, see `borrowed_arrays`."""
+    """Return a function that borrows its arguments, see `borrowed_arrays`.
+
+    One within another function is left as it is: made anew, it would lose what it closes over.
+    """
     if _LOCAL in function.__qualname__:
         return function
     names = [name for name in function.__annotations__ if name != 'return']
