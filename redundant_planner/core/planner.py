@@ -27,13 +27,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.redundancy.command import limited_twist
-from redundant_planner.core.redundancy.reference import (
-    Caps,
-    followed_pose,
-    reference_of,
-    Start,
-    Task,
-)
+from redundant_planner.core.redundancy.reference import followed_pose, reference_of, Start, Task
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
@@ -555,18 +549,16 @@ class Planner:
 
         Neither the feedback nor motion that yields is a part of it.
         """
-        task, arm, constants = desired.task, start.arm, self._constants
+        task, jacobian, constants = desired.task, start.arm.jacobian, self._constants
         if not self._filtered:
-            followed = arm.jacobian @ result.dq + task.turning - task.feedback
+            followed = jacobian @ result.dq + task.turning - task.feedback
         elif result.stage is Stage.DESIRED:
             return task.commanded, desired.reached
         elif result.stage is Stage.SLIDING:  # the path goes on from where the tip gets to
-            followed = arm.jacobian @ result.dq + task.turning - task.feedback
+            followed = jacobian @ result.dq + task.turning - task.feedback
         else:
             followed = result.scale * task.commanded + result.residual * self._last.followed
-        reference = reference_of(
-            start.reference, Pose(arm.tip_position, arm.tip_rotation), constants.rows,
-            constants.in_tool, Caps(self._gains.feedback_distance, self._gains.feedback_angle))
+        reference = reference_of(start, constants, self._gains)
         return followed, followed_pose(
             reference, followed, constants.rows, constants.in_tool, start.dt)
 

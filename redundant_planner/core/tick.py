@@ -274,7 +274,7 @@ def wish(
     # The barriers. To evade, any null-space speed is better than leaving the path.
     intruded, turn = rows.is_intruded(near, obstacles, world.turn), world.turn
     found = rows.cleared(
-        memory.rows, len(near.acting) + 2 * len(turn.velocities) + len(own.pairs) + 4)
+        memory.rows, rows.most_rows(len(near.acting), len(turn.velocities), len(own.pairs)))
     at = rows.obstacle_rows(
         found, 0, near, obstacles, gains.clearance_lead,
         rows.strayed_distances(world.strayed, constants))

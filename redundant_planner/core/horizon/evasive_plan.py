@@ -27,9 +27,8 @@ from redundant_planner.core.horizon.path_qp import moved_on
 from redundant_planner.core.horizon.poses_ahead import poses_ahead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.nearby import Surroundings
-from redundant_planner.core.redundancy.reference import Caps, reference_of, Start
+from redundant_planner.core.redundancy.reference import reference_of, Start
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
@@ -109,7 +108,7 @@ class EvasivePlan:
     ) -> None:
         """Prepare for an arm, and for how long courses are looked at."""
         self._robot, self._limits, self._scaling = robot, limits, constants.scaling
-        self._caps = Caps(gains.feedback_distance, gains.feedback_angle)
+        self._constants, self._gains = constants, gains
         self._between = min(max(
             gains.clearance_evasion_horizon / _NODES, _SHORTEST_STEP), _LONGEST_STEP)
         self._times: Array = self._between * np.arange(_NODES + 1.0)
@@ -222,9 +221,7 @@ class EvasivePlan:
     ) -> Improved | None:
         """Return a path after a step; None where obstacles are too large for numbers."""
         robot, command = self._robot, start.command
-        reference = reference_of(
-            start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation),
-            robot.chain.rows, robot.in_tool, self._caps)
+        reference = reference_of(start, self._constants, self._gains)
         poses = poses_ahead(
             reference, np.tile(command, (_NODES, 1)), self._times, robot.in_tool)
         along = robot.task_rows(command)

@@ -23,9 +23,8 @@ from redundant_planner.core.horizon.poses_ahead import middles, node_times, pose
 from redundant_planner.core.horizon.preview import Preview, PreviewAhead, TwistAhead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.core.redundancy.reference import Caps, reference_of, Start
+from redundant_planner.core.redundancy.reference import reference_of, Start
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
@@ -91,7 +90,7 @@ class LookAhead:
                     path_joints(constants, gains, limits))
             for duration in (parameters.horizon_duration, parameters.horizon_held_duration))
         self._controlled = robot.full_twist(np.ones(robot.m))
-        self._caps = Caps(gains.feedback_distance, gains.feedback_angle)
+        self._gains = gains
         self.reset()
 
     def reset(self) -> None:
@@ -202,9 +201,7 @@ class LookAhead:
         if due is None or self._horizon is None:
             return False
         start, times = due.start, self._horizon.times
-        reference = reference_of(
-            start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation),
-            self._constants.rows, self._constants.in_tool, self._caps)
+        reference = reference_of(start, self._constants, self._gains)
         poses = poses_ahead(reference, due.twists, times, self._robot.in_tool)
         self._wanted = self._horizon.advance(start.arm.q, poses, due.obstacles, due.elapsed)
         return True

@@ -131,11 +131,17 @@ def task_of(start: Start, constants: RobotConstants, gains: Gains) -> tuple[Task
     return Task(twists, kept), reference
 
 
+def reference_of(start: Start, constants: RobotConstants, gains: Gains) -> Pose:
+    """Return the reference pose of a tick, as `task_of` does, for Python."""
+    return _reference(
+        start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation), constants.rows,
+        constants.in_tool, Caps(gains.feedback_distance, gains.feedback_angle))
+
+
 @entry
-def reference_of(
+def _reference(
     reference: Pose, tip: Pose, rows: Indices, in_tool: bool, caps: Caps,
 ) -> Pose:
-    """Return the reference pose of a tick; arguments as for `_brought_along`."""
     return _brought_along(reference, tip, rows, in_tool, caps)[1]
 
 

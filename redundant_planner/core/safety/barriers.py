@@ -53,6 +53,8 @@ _SLIGHT, _SLOWLY_OUT = 2e-5, 1e-3
 _IN_PLACE = 5e-4
 # How exactly a turn is made, as a share of a joint's speed limit.
 _TURN_TOLERANCE = 0.005
+# Two for the cone, one each for the singularity and self-motion.
+_OTHER_ROWS = 4
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
 STRAY, STRAY_ANGLE = 2.5e-4, 2.5e-3
 
@@ -166,10 +168,24 @@ def admissible(
     return True
 
 
+def _most_rows(acting: int, turning: int, own: int) -> int:
+    """Return how many rows a tick has at most.
+
+    Args:
+        acting: pairs of links and obstacles whose barrier could act.
+        turning: joints that turn.
+        own: pairs of links that could meet.
+    """
+    return acting + 2 * turning + own + _OTHER_ROWS
+
+
+most_rows = kernel(_most_rows)
+
+
 def room_for_rows(constants: RobotConstants) -> Rows:
     """Return room for as many rows as a tick of this robot may have."""
     n = len(constants.scaling)
-    most = MOST_ACTING + 2 * n + len(constants.self_pairs) + 4
+    most = _most_rows(MOST_ACTING, n, len(constants.self_pairs))
     return Rows(np.empty((most, n)), np.empty((3, most)), np.empty((3, most), np.intp))
 
 
