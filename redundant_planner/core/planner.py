@@ -18,6 +18,7 @@ from redundant_planner.core.errors import known, ParameterError, StateError
 from redundant_planner.core.horizon.evasive_plan import Aside, EvasivePlan
 from redundant_planner.core.horizon.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
+from redundant_planner.core.machine_code.packed import Packed
 from redundant_planner.core.obstacles.clearance import pseudo_distance
 from redundant_planner.core.obstacles.contacts import AllowedContacts, Contact, contacts
 from redundant_planner.core.obstacles.evasion import Evasion, NO_TURN, Turn
@@ -48,7 +49,7 @@ from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.free_way import JointMotion
 from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.way import Way
-from redundant_planner.core.tick import Memory, Wish, wish, World
+from redundant_planner.core.tick import Memory, Setup, Wish, wish, World
 
 Array = npt.NDArray[np.float64]
 
@@ -165,7 +166,9 @@ class Planner:
         # Nothing has changed where one of these refused the parameters.
         self._parameters, self._weights, self._limits = parameters, weights, limits
         self._constants, self._gains = constants, gains
-        self._memory = self._new_memory()
+        self._setup = Packed.of(Setup(constants, limits, gains, Memory(
+            np.full(robot.n, np.nan), np.empty(len(constants.self_pairs)),
+            room_for_rows(constants))))
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
         self._way = Way(robot, parameters, limits, constants, gains)
@@ -202,17 +205,12 @@ class Planner:
             self.robot, self.robot.kinematics(q), scene,
             AllowedContacts(self._parameters.allowed_contacts, self.robot))
 
-    def _new_memory(self) -> Memory:
-        constants = self._constants
-        return Memory(np.full(self.robot.n, np.nan), np.empty(len(constants.self_pairs)),
-                      room_for_rows(constants))
-
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
         self._last = self._at_rest()
         self._mean.start(1, self._last.dq)
         self._observer.reset()
-        self._memory = self._new_memory()
+        self._setup.value.memory.known_at[:] = np.nan
         self._look_ahead.reset()
         self._way.reset()
         self._back.reset()
@@ -279,7 +277,7 @@ class Planner:
         if not _SHORTEST_TICK <= dt < math.inf:
             raise StateError(f'dt is {dt}; it must be {_SHORTEST_TICK:g} s or longer')
         target = None if target is None else checked_target(target, self.robot)
-        arm = self.robot.kinematics(self._posture(q, dt))
+        arm = self.robot.kinematics_at(self._posture(q, dt))
         pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
         around = self._watch.look(scene, arm, last.dq, dt)
 
@@ -292,7 +290,7 @@ class Planner:
         world = World(
             around.maps, around.start, around.end, around.range, aim.turn,
             last.dq if aim.path is None else aim.path, aim.guided, self._observer.strayed)
-        desired = wish(start, world, self._memory, self._constants, self._limits, self._gains)
+        desired = wish(start, world, self._setup)
 
         # Guard: every limit and barrier, docs/safety.md.
         crowded = joints is None and self._switch(desired, around, aim.commanded, dt)
@@ -304,7 +302,7 @@ class Planner:
             wanted = aim.aside.velocity
         result = Filtered.untouched(wanted)
         if self._filtered and (joints is not None or leaves or not desired.admissible):
-            barriers = barriers_in(self._memory.rows, desired.rows_used)
+            barriers = barriers_in(self._setup.value.memory.rows, desired.rows_used)
             result = self._filter(desired, wanted, barriers, start, joints, leaves=leaves)
             reason = self._reason(result, barriers, around, aim)
         result, slower = self._slow_down.slowed(
@@ -416,19 +414,16 @@ class Planner:
 
         Where clearance could not be kept, jerk gives way: what is planned is commanded as it is.
         """
-        measured = np.asarray(measured, dtype=float)
-        if measured.shape != self._last.dq.shape:
-            return measured  # which kinematics refuse
-        last, posture = self._last, self._observer.sense(measured, dt)
+        last, posture = self._last, self._observer.sense(self.robot.checked_posture(measured), dt)
         ticks = 1 if last.rush > 0.0 else self._ticks(dt)
         if ticks != self._mean.ticks:
             mean = MeanVelocity(self.robot.n)
             mean.start(ticks, last.sent, last.sent - last.before)
             # The present acceleration fades in its time: not into a joint limit.
             if ticks == 1 or can_stop(
-                    posture + mean.way_left(dt), mean.latest, self._limits, dt):
+                    mean.stops_at(posture, dt), mean.latest, self._limits, dt):
                 self._mean, self._last = mean, last._replace(dq=mean.latest)
-        return posture if ticks == 1 else posture + self._mean.way_left(dt)
+        return self._mean.stops_at(posture, dt)
 
     def _ticks(self, dt: float) -> int:
         """Return over how many ticks the mean of planned velocities keeps the jerk limits."""

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.kernels import entry, kernel, Matrix, OutVector, Vector
+from redundant_planner.core.kernels import entry, kernel, Matrix, OutMatrix, OutVector, Vector
+from redundant_planner.core.machine_code.packed import Packed
 from redundant_planner.core.obstacles.clearance import is_contact, link_pair
 from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -50,6 +51,20 @@ class Memory(NamedTuple):
     rows: Rows
 
 
+class Setup(NamedTuple):
+    """What a planner has in place from tick to tick.
+
+    Attributes:
+        constants, limits, gains: see there.
+        memory: written in each tick.
+    """
+
+    constants: RobotConstants
+    limits: Limits
+    gains: Gains
+    memory: Memory
+
+
 class World(NamedTuple):
     """What a tick knows of the world, and of the time ahead.
 
@@ -77,9 +92,9 @@ class Wish(NamedTuple):
 
     Attributes:
         motions: (3, n) q̇ of Eq. 1, J⁺ẋ and k P∇H, see `StepResult`.
-        factor, clearance_index, manipulability: see `StepResult`.
         task: what the tip shall do.
         reached: the reference pose after the tick if the whole command is followed.
+        factor, clearance_index, manipulability: see `StepResult`.
         rows_used: how many of the memory's rows are barriers.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
         nearest_link, nearest_obstacle, nearest_normalized_distance, nearest_distance: see
@@ -90,11 +105,11 @@ class Wish(NamedTuple):
     """
 
     motions: Matrix
+    task: Task
+    reached: Pose
     factor: float
     clearance_index: float
     manipulability: float
-    task: Task
-    reached: Pose
     rows_used: int
     intruded: bool
     nearest_link: int
@@ -219,12 +234,21 @@ def _blocked(
     return False
 
 
-@entry
-def wish(
-    start: Start, world: World, memory: Memory, constants: RobotConstants, limits: Limits,
-    gains: Gains,
-) -> Wish:
+def wish(start: Start, world: World, setup: Packed[Setup]) -> Wish:
     """Return J⁺ẋ + k P∇H, and the barriers around it."""
+    m, n = start.arm.jacobian.shape
+    motions, task = np.empty((3, n)), Task(np.empty((3, m)), np.empty(6))
+    reached = Pose(np.empty(3), np.empty((3, 3)))
+    return Wish(motions, task, reached, *_wish(start, world, setup, motions, task, reached))
+
+
+@entry
+def _wish(
+    start: Start, world: World, setup: Packed[Setup], motions: OutMatrix, asked: Task,
+    reached: Pose,
+) -> tuple[float, float, float, int, bool, int, int, float, float, bool, bool, float]:
+    """Fill the arrays of a `Wish`; return the rest of it."""
+    constants, limits, gains, memory = setup.value
     arm, obstacles, scaling, dt = start.arm, world.obstacles, constants.scaling, start.dt
 
     # ẋ: the command plus the feedback to the reference pose.
@@ -266,7 +290,6 @@ def wish(
         homogeneous = (1.0 - world.guided) * factor * projected
     if world.guided > 0.0:
         homogeneous += world.guided * null_space.project(parts, world.path / scaling)
-    motions = np.empty((3, len(scaling)))
     dq, least_norm = motions[0], motions[1]
     least_norm[:], motions[2] = scaling * least.motion, scaling * homogeneous
     dq[:] = least_norm + motions[2]  # Eq. 1
@@ -293,9 +316,10 @@ def wish(
         share == 1.0 and parts.singular_values[-1] >= gains.singularity_damping_threshold
         and rows.admissible(
             dq, arm.q, start.previous, limits, barriers, gains.clearance_gain, dt))
-    return Wish(
-        motions, factor, level, null_space.manipulability(parts), task,
-        pose_after(reference, commanded, constants.rows, constants.in_tool, dt),
-        at, intruded, near.nearest_link, near.nearest_obstacle,
-        near.nearest_normalized_distance, near.nearest_distance, admissible,
+    then = pose_after(reference, commanded, constants.rows, constants.in_tool, dt)
+    reached.position[:], reached.rotation[:] = then.position, then.rotation
+    asked.twists[:], asked.error[:] = task.twists, task.error
+    return (
+        factor, level, null_space.manipulability(parts), at, intruded, near.nearest_link,
+        near.nearest_obstacle, near.nearest_normalized_distance, near.nearest_distance, admissible,
         _blocked(near, obstacles, arm, links, least_norm, limits, gains.horizon_look_ahead), share)

@@ -16,7 +16,17 @@ import pytest
 
 import redundant_planner
 from redundant_planner import compile
-from redundant_planner.core.kernels import compiled, entry, Matrix, OutVector, Vector
+from redundant_planner.core.kernels import (
+    compiled,
+    entry,
+    IndexPairs,
+    Indices,
+    Matrix,
+    OutVector,
+    Stack,
+    Vector,
+)
+from redundant_planner.core.machine_code.packed import Packed
 from redundant_planner.core.machine_code_cache import drop_damaged, is_private, seal
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -96,6 +106,71 @@ def test_records_cross_over_to_an_entry_and_back():
     for wrong in ((pair, np.ones(1)), (Halves(np.arange(3), np.ones(3)), 1.0)):
         with pytest.raises(TypeError):
             split(*wrong)
+
+
+class Names(NamedTuple):
+    rows: Indices
+    pairs: IndexPairs
+    used: bool
+    count: int
+
+
+class Lot(NamedTuple):
+    halves: Halves
+    grid: Matrix
+    names: Names
+    stack: Stack
+    share: float
+
+
+def test_what_is_packed_crosses_over_whole_and_shows_what_is_written():
+    @entry
+    def use(lot: Packed[Lot], first: float) -> Lot:
+        """Write to an array and return all that is in it."""
+        halves, grid, names, stack, share = lot.value
+        halves.second[0] = first
+        return Lot(halves, 2.0 * grid, names, stack, share)
+
+    random = np.random.default_rng(0)
+    for k in (0, 1, 4):
+        halves = Halves(random.normal(size=k), random.normal(size=3))
+        names = Names(random.integers(9, size=k), random.integers(9, size=(k, 2)), k > 0, k - 1)
+        lot = Lot(halves, random.normal(size=(2, 5))[:, ::2], names,
+                  random.normal(size=(k, 3, 2)), 0.25 * k)
+        packed = Packed.of(lot)
+        for part in (packed.value.halves, packed.value.names[:2], packed.value[1::2]):
+            assert all(np.shares_memory(entry, packed.numbers) or np.shares_memory(
+                entry, packed.integers) or entry.size == 0 for entry in part)
+        found = use(packed, 7.0)
+        assert halves.second[0] != 7.0 == packed.value.halves.second[0]
+        halves.second[0] = 7.0
+        for given, there, back in zip(
+                (*halves, 2.0 * lot.grid, *names, lot.stack, lot.share),
+                (*packed.value.halves, 2.0 * packed.value.grid, *packed.value.names,
+                 *packed.value[3:]),
+                (*found.halves, found.grid, *found.names, *found[3:]), strict=True):
+            np.testing.assert_array_equal(there, given)
+            np.testing.assert_array_equal(back, given)
+            assert type(there) is type(given)
+        packed.numbers[:], packed.integers[:] = -1.0, -1  # what came back is the caller's to keep
+        np.testing.assert_array_equal(found.stack, lot.stack)
+        np.testing.assert_array_equal(found.names.pairs, names.pairs)
+
+
+@pytest.mark.parametrize('other', [
+    Halves(np.arange(3.0), np.ones((2, 2))), Halves(np.arange(3.0), np.arange(2)),
+    Split(Halves(np.arange(3.0), np.arange(2.0)), 1.0)])
+def test_what_else_is_packed_is_an_error(other):
+    @entry
+    def total(pair: Packed[Halves]) -> float:
+        return pair.value.first.sum() + pair.value.second.sum()
+
+    pair = Halves(np.arange(3.0), np.arange(2.0))
+    assert total(Packed.of(pair)) == 4.0
+    with pytest.raises(TypeError, match='argument pair must be a packed Halves'):
+        total(Packed.of(other))
+    with pytest.raises(AttributeError):
+        total(pair)
 
 
 @compiled

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, OutMatrix, Vector
+from redundant_planner.core.kernels import compiled, OutMatrix, OutVector, Vector
 
 Array = npt.NDArray[np.float64]
 
@@ -75,8 +75,9 @@ class JointObserver:
             self._state[_COMMANDED] = self._state[_EXPECTED] = measured
             return measured
         told, self._told = self._told, 0.0
-        return _sense(
-            self._state, self._late, measured, self.lag, self.dead_time, told, dt)
+        posture = np.empty(len(measured))
+        _sense(self._state, self._late, measured, self.lag, self.dead_time, told, dt, posture)
+        return posture
 
     def commanded(self, dq: Array, dt: float) -> None:
         """Take the command (n,) that holds for the next dt [rad/s, m/s; s]."""
@@ -115,9 +116,9 @@ def _obey(
 @compiled
 def _sense(
     state: OutMatrix, late: OutMatrix, measured: Vector, lag: float, dead_time: float,
-    told: float, dt: float,
-) -> Array:
-    """Return the posture (n,) to plan from.
+    told: float, dt: float, posture: OutVector,
+) -> None:
+    """Write the posture (n,) to plan from.
 
     Args:
         state: of the observer.
@@ -125,16 +126,17 @@ def _sense(
         measured: (n,) now.
         told: for how long the latest command has been holding [s]; 0 for none since the last time.
         dt: time to the next tick [s].
+        posture: what is written.
     """
     n = len(measured)
     if told > 0.0:
         _obey(state, late, lag, dead_time, told)
     for i in range(n):
         if not math.isfinite(measured[i]):
-            return measured.copy()
+            posture[:] = measured
+            return
     share, slower = 1.0 - math.exp(-_RATE * dt), 1.0 - math.exp(-dt / _NOISE_TIME)
     along, squared = 0.0, 0.0
-    posture = np.empty(n)
     for i in range(n):
         error = measured[i] - state[_EXPECTED, i] - state[_OFFSET, i]
         most = _FURTHEST + _LATEST * abs(state[_SPEED, i])
@@ -149,4 +151,3 @@ def _sense(
     late_by = along / squared if squared > _SLOW * _SLOW else 0.0
     for i in range(n):
         state[_STRAYED, i] = state[_BEHIND, i] - late_by * state[_WAY, i]
-    return posture

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.kernels import entry, Indices, kernel, Matrix, OutMatrix, Stack, Vector
+from redundant_planner.core.machine_code.packed import Packed
 
 Array = npt.NDArray[np.float64]
 
@@ -235,9 +236,9 @@ def fill(chain: Chain, places: JointPlaces, arm: Kinematics) -> None:
 
 
 @entry
-def fill_kinematics(chain: Chain, arm: Kinematics) -> None:
+def fill_kinematics(chain: Packed[Chain], arm: Kinematics) -> None:
     """Do what `fill` does, for Python, which hands arrays over sooner than it takes them back."""
-    fill(chain, new_places(len(arm.q)), arm)
+    fill(chain.value, new_places(len(arm.q)), arm)
 
 
 @kernel

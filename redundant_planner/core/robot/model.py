@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from redundant_planner.core.errors import known, RobotError, StateError
+from redundant_planner.core.machine_code.packed import Packed
 from redundant_planner.core.numbers import floats_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import AXES, COMMAND_FRAMES
@@ -229,8 +230,12 @@ class Robot:
         Raises:
             StateError: `q` does not have n finite entries.
         """
-        arm = Kinematics(self.checked_posture(q), *map(np.empty, self._shapes))
-        fill_kinematics(self.chain, arm)
+        return self.kinematics_at(self.checked_posture(q))
+
+    def kinematics_at(self, posture: Array) -> Kinematics:
+        """Return the arm's kinematics at a checked posture (n,), which becomes part of them."""
+        arm = Kinematics(posture, *map(np.empty, self._shapes))
+        fill_kinematics(self._packed_chain, arm)
         return arm
 
     def kinematics_along(self, postures: Array) -> KinematicsAlong:
@@ -284,6 +289,7 @@ class Robot:
         """Set all that follows from the link shapes, of which the first ones are the arm's own."""
         self.capsules, self._own = capsules, own
         self.chain = self._chain()
+        self._packed_chain = Packed.of(self.chain)
         # Of the arrays that every posture gets anew, after the posture itself.
         self._shapes = [part.shape for part in new_kinematics(
             np.zeros(self.n), self.m, len(self.capsules))[1:]]

@@ -11,7 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, Matrix
+from redundant_planner.core.kernels import compiled, Matrix, OutMatrix, OutVector, Vector
 from redundant_planner.core.safety.limits import braked
 
 Array = npt.NDArray[np.float64]
@@ -70,37 +70,44 @@ class MeanVelocity:
         self._latest = planned
         if len(self._planned) == 1:
             return planned.copy()
-        self._planned[self._next] = planned
-        self._next = (self._next + 1) % len(self._planned)
-        return _mean(self._planned)
+        mean, at = np.empty(len(planned)), self._next
+        self._next = (at + 1) % len(self._planned)
+        _take(self._planned, at, planned, mean)
+        return mean
 
-    def way_left(self, dt: float) -> Array:
-        """Return how far (n,) the mean will still go if 0 is planned from now on [rad, m]."""
+    def stops_at(self, posture: Array, dt: float) -> Array:
+        """Return where joints at a posture (n,) get to if 0 is planned from now on [rad, m]."""
         if len(self._planned) == 1:
-            return np.zeros(len(self._latest))
-        return _way_left(self._planned, self._next, dt)
+            return posture
+        stop = np.empty(len(posture))
+        _stop(self._planned, self._next, posture, dt, stop)
+        return stop
 
 
 @compiled
-def _mean(planned: Matrix) -> Array:
+def _take(planned: OutMatrix, at: int, velocity: Vector, mean: OutVector) -> None:
+    """Put a velocity (n,) into a window (k, n), and write the mean of that."""
     ticks, n = planned.shape
-    mean = np.zeros(n)
+    for i in range(n):
+        planned[at, i], mean[i] = velocity[i], 0.0
     for tick in range(ticks):
         for i in range(n):
             mean[i] += planned[tick, i]
-    return mean / ticks
+    for i in range(n):
+        mean[i] /= ticks
 
 
 @compiled
-def _way_left(planned: Matrix, first: int, dt: float) -> Array:
-    """Return Σ over the window of each velocity's share that is not in the mean yet."""
+def _stop(planned: Matrix, first: int, posture: Vector, dt: float, stop: OutVector) -> None:
+    """Write the posture plus Σ over the window of each velocity's share not in the mean yet."""
     ticks, n = planned.shape
-    way = np.zeros(n)
+    stop[:] = 0.0
     for age in range(ticks):
         row = (first + age) % ticks
         for i in range(n):
-            way[i] += planned[row, i] * age
-    return way * (dt / ticks)
+            stop[i] += planned[row, i] * age
+    for i in range(n):
+        stop[i] = posture[i] + stop[i] * (dt / ticks)
 
 
 class SmoothStop:

@@ -54,9 +54,10 @@ def test_means_keep_what_the_planned_motion_keeps_and_the_jerk_besides(seed, dt,
     for i in (0, 50, 299):
         np.testing.assert_allclose(way[i], before[i:i + ticks].mean(axis=0), atol=1e-12)
     # What is on its way is known: planning nothing more, the arm still goes there.
-    left = mean.way_left(dt)
+    posture = random.uniform(-1.0, 1.0, N)
+    stop = mean.stops_at(posture, dt)
     rest = np.array([mean.take(np.zeros(N)) for _ in range(ticks)])
-    np.testing.assert_allclose(rest.sum(axis=0) * dt, left, atol=1e-12)
+    np.testing.assert_allclose(posture + rest.sum(axis=0) * dt, stop, atol=1e-12)
     np.testing.assert_array_equal(rest[-1], 0.0)
 
 

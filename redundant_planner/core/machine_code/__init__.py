@@ -1,0 +1,1 @@
+"""What `kernels` compiles with: types, and how values cross over from Python and back."""
