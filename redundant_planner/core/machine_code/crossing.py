@@ -1,7 +1,25 @@
 """How arguments and results cross over between Python and machine code.
 
-A function's source gets lines that take its arguments over, and other answers: its arguments are
-borrowed (`borrowed_arrays`), and those of an `entry` come in parts, as does its result.
+A function's source gets lines that take its arguments over, and other answers. Of the `entry`
+
+    def wish(start: Start, setup: Packed[Setup]) -> Wish:
+        return Wish(...)
+
+this is compiled,
+
+    def wish(start_arm, start_dt, setup_numbers, setup_integers):
+        start = borrowed(Start(start_arm, start_dt))
+        setup = _Unpacked(Setup(borrowed_part(setup_numbers, ...), ...))
+        returned = owned(Wish(...))
+        return (returned.motions, returned.factor)
+
+and this is what Python calls:
+
+    def call(start, setup):
+        (found_motions, found_factor) = inner(*start, setup.numbers, setup.integers)
+        return new(Wish, (found_motions, found_factor,))
+
+`borrowed_arrays` says what borrowed and owned arrays are.
 """
 
 from __future__ import annotations
