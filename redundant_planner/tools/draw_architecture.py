@@ -58,8 +58,8 @@ _PLACES = {
 _CORE_FRAME = (0.0, 0.12, 3.9, 3.62)
 _WIDTH, _HEIGHT = 0.9, 0.52
 # What every room may use.
-_COMMON = tuple(f'{PACKAGE}.core.{name}' for name in ('kernels', 'errors', 'numbers', 'constants',
-                                                      'parameters'))
+_COMMON = tuple(f'{PACKAGE}.core.{name}' for name in (
+    'kernels', 'machine_code', 'errors', 'numbers', 'constants', 'parameters'))
 
 
 def room_of(module: str) -> str | None:
