@@ -42,7 +42,8 @@ from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, wind
 from redundant_planner.core.safety.limits import can_stop, slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.slow_down import SlowDown
-from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity, Stage
+from redundant_planner.core.safety.stage import Stage
+from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity
 from redundant_planner.core.safety.way_out import LastWayOut
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.coming_back import ComingBack

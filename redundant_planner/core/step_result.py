@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.core.safety.stages import Stage
+from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.target.progress import Progress
 
 Array = npt.NDArray[np.float64]

@@ -29,7 +29,7 @@ from redundant_planner.core.robot.jacobian import derivative_times
 from redundant_planner.core.robot.kinematics import Kinematics, Links
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import integrate, Pose, pose_error
-from redundant_planner.core.safety.stages import Stage
+from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.goal import Target
 

@@ -20,7 +20,7 @@ from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.se3 import integrate, Pose
 from redundant_planner.core.safety.barriers import fastest_self_motion, STRAY, STRAY_ANGLE
 from redundant_planner.core.safety.limits import stopping_time
-from redundant_planner.core.safety.stages import Stage
+from redundant_planner.core.safety.stage import Stage
 from redundant_planner.paper.method import PaperPlanner
 
 # Nothing but Eqs. 1, 2 and 18, where no filter acts.

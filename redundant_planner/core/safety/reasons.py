@@ -15,7 +15,8 @@ from redundant_planner.core.safety.barriers import (
     SELF_MOTION,
     SINGULARITY,
 )
-from redundant_planner.core.safety.stages import Filtered, Stage
+from redundant_planner.core.safety.stage import Stage
+from redundant_planner.core.safety.stages import Filtered
 from redundant_planner.core.safety.way_out import LastWayOut
 
 Array = npt.NDArray[np.float64]

@@ -20,7 +20,8 @@ from redundant_planner.core.obstacles.inflation import inflated_obstacles, Infla
 from redundant_planner.core.obstacles.scene import Scene, selected
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.safety.stages import Filtered, Stage
+from redundant_planner.core.safety.stage import Stage
+from redundant_planner.core.safety.stages import Filtered
 
 Array = npt.NDArray[np.float64]
 

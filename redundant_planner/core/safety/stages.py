@@ -19,7 +19,6 @@ turn or stop at once.
 
 from __future__ import annotations
 
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -34,20 +33,9 @@ from redundant_planner.core.safety.limits import (
     TOLERANCE,
 )
 from redundant_planner.core.safety.qp import Found, solve, StageProblem
+from redundant_planner.core.safety.stage import Stage
 
 Array = npt.NDArray[np.float64]
-
-
-class Stage(Enum):
-    """Which problem gave the velocity, in the order in which they are tried."""
-
-    DESIRED = 'the desired velocity breaks no limit'
-    SCALED = 'the speed gave way'
-    SLIDING = 'the tip slides along what is in its way'
-    BRAKING = 'the arm brakes'
-    YIELDING = 'the arm leaves its path to evade'
-    FORCED = 'a clearance could not be kept at the rate asked for'
-    STOPPED = 'no problem had a solution: every joint slows down as fast as it may'
 
 
 class _Rule(NamedTuple):

@@ -15,7 +15,7 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.safety.stages import Stage
+from redundant_planner.core.safety.stage import Stage
 
 
 class Passing:

@@ -14,7 +14,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.workspace import walls
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.safety.stages import Stage
+from redundant_planner.core.safety.stage import Stage
 
 DOWN, ALONG = np.array([0.0, 0, -0.05, 0, 0, 0]), np.array([0.0, 0.1, 0, 0, 0, 0])
 ALLOWED = ('panda_hand:table',)

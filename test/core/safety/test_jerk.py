@@ -18,7 +18,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, SmoothStop, window_of
-from redundant_planner.core.safety.stages import Stage
+from redundant_planner.core.safety.stage import Stage
 
 N = 3
 ROUND_OFF = 1.0 + 1e-9

@@ -12,7 +12,7 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.safety.stages import Stage
+from redundant_planner.core.safety.stage import Stage
 from redundant_planner.simulation import simulate
 
 PANDA = make_panda()

@@ -14,7 +14,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.core.safety.stages import Stage
+from redundant_planner.core.safety.stage import Stage
 
 DT = 0.004
 PANDA = make_panda()

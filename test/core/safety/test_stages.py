@@ -12,7 +12,8 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety.barriers import barriers_of
 from redundant_planner.core.safety.limits import bounds_of_velocity, Limits, stopping_time
-from redundant_planner.core.safety.stages import Request, safe_velocity, Stage
+from redundant_planner.core.safety.stage import Stage
+from redundant_planner.core.safety.stages import Request, safe_velocity
 
 N, DT = 7, 0.004
 LIMITS = Limits(np.outer([1.0, -1.0], np.ones(N)), np.full(N, 2.0),
