@@ -8,6 +8,9 @@ for a debugger.
 
 Argument types come from the annotations, once: a type that only turned up later would stop the
 control loop while it is being compiled. A wrong one is a TypeError instead.
+
+An array that Python makes and a function fills takes 0.15 µs, one that a function returns 0.35 µs.
+So what runs in every tick fills its results.
 """
 
 from __future__ import annotations

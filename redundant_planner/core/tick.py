@@ -247,7 +247,7 @@ def _wish(
     start: Start, world: World, setup: Packed[Setup], motions: OutMatrix, asked: Task,
     reached: Pose,
 ) -> tuple[float, float, float, int, bool, int, int, float, float, bool, bool, float]:
-    """Fill the arrays of a `Wish`; return the rest of it."""
+    """Fill the arrays of a `Wish`, `asked` being its task; return the rest of it."""
     constants, limits, gains, memory = setup.value
     arm, obstacles, scaling, dt = start.arm, world.obstacles, constants.scaling, start.dt
 

@@ -37,7 +37,7 @@ class Packed(Generic[Value]):
 
     @classmethod
     def of(cls, value: Value) -> Packed[Value]:
-        """Copy a NamedTuple of arrays, numbers, and NamedTuples of these."""
+        """Copy a NamedTuple of arrays of floats or whole numbers, numbers, and others like it."""
         entries = [np.asarray(entry) for entry in _entries(value)]
         header = [layout_of((entry.dtype == np.float64, entry.ndim) for entry in entries)]
         parts: dict[bool, list[Array]] = {True: [], False: []}
