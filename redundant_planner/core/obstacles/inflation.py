@@ -109,15 +109,7 @@ class InflatedObstacles(NamedTuple):
     speeds: Vector
 
 
-class _Chosen(NamedTuple):
-    """The rows of some obstacles of a scene, see there."""
-
-    shapes: Indices
-    centers: Matrix
-    rotations: Stack
-    half_extents: Matrix
-    velocities: Matrix
-    angular_velocities: Matrix
+_NO_CONTACTS = np.zeros((0, 0), bool)
 
 
 def inflated_obstacles(
@@ -134,25 +126,39 @@ def inflated_obstacles(
         contacts: (c, all obstacles) which pairs may touch; none if None.
         margin: the part of the radii that these do not keep, nor the lead [m].
     """
-    every = np.arange(len(scene.names)) if chosen is None else chosen
-    return _inflated_obstacles(
-        _Chosen(
-            scene.shapes[every], scene.centers[every], scene.rotations[every],
-            scene.half_extents[every], scene.velocities[every], scene.angular_velocities[every]),
-        np.array(radii, dtype=float), lead,
-        np.zeros((0, 0), bool) if contacts is None else contacts[:, every], margin)
+    rows = slice(None) if chosen is None else chosen
+    shapes, kept = scene.shapes[rows], np.asarray(radii, dtype=float)
+    inflated = _room_for(len(kept), len(shapes))
+    _inflate(
+        shapes, scene.centers[rows], scene.rotations[rows], scene.half_extents[rows],
+        scene.velocities[rows], scene.angular_velocities[rows], kept, lead,
+        _NO_CONTACTS if contacts is None else contacts[:, rows], margin, inflated)
+    return inflated
+
+
+def _room_for(links: int, count: int) -> InflatedObstacles:
+    """Return the arrays for so many links and obstacles, for `_inflate`."""
+    return InflatedObstacles(
+        np.empty(count, np.intp), np.empty((3, count)), np.empty((3, 3, count)),
+        np.empty((count, 3)), np.empty(count), np.empty((links, count)),
+        np.empty((links, 3, count)), np.empty((links, count)), np.empty((links, count), np.bool_),
+        np.empty((6, count)), np.empty(count))
 
 
 @entry
-def _inflated_obstacles(
-    chosen: _Chosen, radii: Vector, lead: float, contacts: Flags, margin: float,
-) -> InflatedObstacles:
-    shapes, half_extents = chosen.shapes, chosen.half_extents
+def _inflate(
+    shapes: Indices, places: Matrix, axes: Stack, half_extents: Matrix, velocities: Matrix,
+    angular_velocities: Matrix, radii: Vector, lead: float, contacts: Flags, margin: float,
+    inflated: InflatedObstacles,
+) -> None:
+    """Write the inflated obstacles; other arguments are fields of a `Scene`, or as above."""
     count, links = len(shapes), len(radii)
-    cores, inflation = half_extents.copy(), np.empty((links, count))
-    smallest, may_touch = np.empty((links, count)), np.zeros((links, count), np.bool_)
-    grown, corners = np.empty((links, count)), np.empty(count)
-    speeds = surface_speeds(half_extents, chosen.velocities, chosen.angular_velocities)
+    cores, inflation, smallest = inflated.cores, inflated.inflation, inflated.smallest
+    may_touch, corners, inverse = inflated.may_touch, inflated.corners, inflated.inverse
+    centers, rotations, twists = inflated.centers, inflated.rotations, inflated.twists
+    inflated.shapes[:], cores[:], grown = shapes, half_extents, np.empty((links, count))
+    speeds = surface_speeds(half_extents, velocities, angular_velocities)
+    inflated.speeds[:] = speeds
     for i in range(count):
         a, b, c = half_extents[i]
         rounding = 0.0
@@ -171,9 +177,7 @@ def _inflated_obstacles(
                 may_touch[link, i], grown[link, i] = True, max(radii[link] - margin, 0.0)
             inflation[link, i] = grown[link, i] + rounding
             smallest[link, i] = min(a, b, c) + grown[link, i]
-    semi_axes, inverse = inflated_semi_axes(half_extents, grown), np.empty((links, 3, count))
-    centers, rotations = np.empty((3, count)), np.empty((3, 3, count))
-    twists = np.empty((6, count))
+    semi_axes = inflated_semi_axes(half_extents, grown)
     for i in range(count):
         for link in range(links):
             a, b, c = semi_axes[link, i]
@@ -181,11 +185,7 @@ def _inflated_obstacles(
                 smallest[link, i] = min(a, b, c)
             inverse[link, 0, i], inverse[link, 1, i], inverse[link, 2, i] = 1 / a, 1 / b, 1 / c
         for axis in range(3):
-            centers[axis, i] = chosen.centers[i, axis]
-            twists[axis, i] = chosen.velocities[i, axis]
-            twists[3 + axis, i] = chosen.angular_velocities[i, axis]
+            centers[axis, i] = places[i, axis]
+            twists[axis, i], twists[3 + axis, i] = velocities[i, axis], angular_velocities[i, axis]
             for other in range(3):
-                rotations[axis, other, i] = chosen.rotations[i, axis, other]
-    return InflatedObstacles(
-        shapes, centers, rotations, cores, corners, inflation, inverse, smallest, may_touch,
-        twists, speeds)
+                rotations[axis, other, i] = axes[i, axis, other]

@@ -60,6 +60,15 @@ def surface_speeds(half_extents: Matrix, velocities: Matrix, angular_velocities:
     return speeds
 
 
+@compiled
+def _fastest(half_extents: Matrix, velocities: Matrix, angular_velocities: Matrix) -> float:
+    """Return the largest of `surface_speeds`, 0 without any."""
+    fastest = 0.0
+    for speed in surface_speeds(half_extents, velocities, angular_velocities):
+        fastest = max(fastest, speed)
+    return fastest
+
+
 @dataclass(frozen=True)
 class Scene:
     """All obstacles, stacked; built once when something changes, not once per tick.
@@ -101,6 +110,11 @@ class Scene:
     def speeds(self) -> Array:
         """(k,) the fastest that any point of an obstacle moves, at most [m/s]."""
         return surface_speeds(self.half_extents, self.velocities, self.angular_velocities)
+
+    @property
+    def fastest(self) -> float:
+        """The largest of `speeds`, 0 without obstacles [m/s]."""
+        return _fastest(self.half_extents, self.velocities, self.angular_velocities)
 
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Return the obstacles one by one."""

@@ -74,7 +74,7 @@ class ObstacleWatch:
             Whether there was a choice to make for the next tick.
         """
         if scene is not self._scene:
-            self._scene, self.fastest = scene, float(scene.speeds.max(initial=0.0))
+            self._scene, self.fastest = scene, scene.fastest
             self._prepared = False
         done_for = self._prepared_for
         if self._last is None or (
