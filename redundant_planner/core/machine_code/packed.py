@@ -59,7 +59,7 @@ class Packed(Generic[Value]):
 
 
 def layout_of(entries: Iterable[tuple[bool, int]]) -> int:
-    """Return a number that is another one for any other entries.
+    """Return a checksum of what is packed, by which a record is told from others.
 
     Args:
         entries: of each whether it is of floats, and how many dimensions it has.
@@ -77,7 +77,12 @@ def _entries(value: Any) -> Iterator[Any]:
 
 
 def _with_arrays(value: Any, views: Iterator[Array]) -> Any:
-    """Return a NamedTuple with these in place of its arrays; one for a number is left out."""
+    """Return a NamedTuple with views in place of its arrays; its numbers stay as they are.
+
+    Args:
+        value: the NamedTuple.
+        views: one for each array and each number, in the order of `_entries`.
+    """
     made = []
     for entry in value:
         if isinstance(entry, tuple):

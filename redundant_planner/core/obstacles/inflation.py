@@ -109,6 +109,15 @@ class InflatedObstacles(NamedTuple):
     speeds: Vector
 
 
+class _Growth(NamedTuple):
+    """By how much obstacles grow, see `inflated_obstacles`; contacts may be those of no pair."""
+
+    radii: Vector
+    lead: float
+    contacts: Flags
+    margin: float
+
+
 _NO_CONTACTS = np.zeros((0, 0), bool)
 
 
@@ -127,12 +136,13 @@ def inflated_obstacles(
         margin: the part of the radii that these do not keep, nor the lead [m].
     """
     rows = slice(None) if chosen is None else chosen
-    shapes, kept = scene.shapes[rows], np.asarray(radii, dtype=float)
-    inflated = _room_for(len(kept), len(shapes))
-    _inflate(
-        shapes, scene.centers[rows], scene.rotations[rows], scene.half_extents[rows],
-        scene.velocities[rows], scene.angular_velocities[rows], kept, lead,
-        _NO_CONTACTS if contacts is None else contacts[:, rows], margin, inflated)
+    shapes = scene.shapes[rows]
+    growth = _Growth(
+        np.array(radii, dtype=float), lead,
+        _NO_CONTACTS if contacts is None else np.array(contacts[:, rows], order='C'), margin)
+    inflated = _room_for(len(growth.radii), len(shapes))
+    _inflate(shapes, scene.centers[rows], scene.rotations[rows], scene.half_extents[rows],
+             scene.velocities[rows], scene.angular_velocities[rows], growth, inflated)
     return inflated
 
 
@@ -148,10 +158,10 @@ def _room_for(links: int, count: int) -> InflatedObstacles:
 @entry
 def _inflate(
     shapes: Indices, places: Matrix, axes: Stack, half_extents: Matrix, velocities: Matrix,
-    angular_velocities: Matrix, radii: Vector, lead: float, contacts: Flags, margin: float,
-    inflated: InflatedObstacles,
+    angular_velocities: Matrix, growth: _Growth, inflated: InflatedObstacles,
 ) -> None:
-    """Write the inflated obstacles; other arguments are fields of a `Scene`, or as above."""
+    """Write the inflated obstacles, of the fields of a `Scene`."""
+    radii, lead, contacts, margin = growth
     count, links = len(shapes), len(radii)
     cores, inflation, smallest = inflated.cores, inflated.inflation, inflated.smallest
     may_touch, corners, inverse = inflated.may_touch, inflated.corners, inflated.inverse

@@ -59,10 +59,8 @@ class JointObserver:
     def sense(self, measured: Array, dt: float) -> Array:
         """Take a measured posture (n,); return the posture to plan from [rad, m].
 
-        One that is not finite is returned as it is, and counts for nothing.
-
         Args:
-            measured: now.
+            measured: now; finite.
             dt: time to the next tick [s].
         """
         if dt != self._dt:
@@ -70,7 +68,7 @@ class JointObserver:
             self._late = np.tile(
                 self._state[_SPEED], (math.floor(self.dead_time / dt) + 2, 1))
         if not self._known:
-            self._known = bool(np.isfinite(measured).all())
+            self._known = True
             self._state[:], self._late[:] = 0.0, 0.0
             self._state[_COMMANDED] = self._state[_EXPECTED] = measured
             return measured
@@ -131,10 +129,6 @@ def _sense(
     n = len(measured)
     if told > 0.0:
         _obey(state, late, lag, dead_time, told)
-    for i in range(n):
-        if not math.isfinite(measured[i]):
-            posture[:] = measured
-            return
     share, slower = 1.0 - math.exp(-_RATE * dt), 1.0 - math.exp(-dt / _NOISE_TIME)
     along, squared = 0.0, 0.0
     for i in range(n):

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 
+from conftest import make_panda, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
+from redundant_planner.core.errors import StateError
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.joint_observer import JointObserver
 
 N, DT = 3, 0.004
@@ -118,12 +123,15 @@ def test_another_period_and_a_reset_are_taken_up():
 
 @pytest.mark.parametrize(('lag', 'dead_time'), [(0.0, 0.0), (0.03, 0.01)])
 def test_a_measurement_that_is_none_loses_no_command(lag, dead_time):
-    """It is refused, and the next one finds the arm where the commands have taken it."""
-    observer, drives = JointObserver(N, lag, dead_time), Drives(lag, dead_time)
-    speed = np.full(N, 0.5)
-    for _ in range(50):
-        observer.sense(drives.q, DT)
-        observer.commanded(speed, DT)
-        drives.move(speed)
-    assert np.isnan(observer.sense(np.full(N, np.nan), DT)).all()
-    np.testing.assert_allclose(observer.sense(drives.q, DT), 50 * DT * speed, atol=1e-4)
+    """It is refused, and then the planner goes on as if it had not come."""
+    parameters = PlannerParameters(drive_lag=lag, drive_dead_time=dead_time)
+    planners = Planner(make_panda(), parameters), Planner(make_panda(), parameters)
+    q, twist, scene = PANDA_READY.copy(), np.array([0.1, 0.0, 0.05, 0.0, 0.0, 0.2]), Scene.of()
+    for i in range(60):
+        if i in (0, 30):
+            with pytest.raises(StateError, match='not a finite number'):
+                planners[0].step(np.where(np.arange(7) == 3, np.nan, q), twist, scene, DT)
+        dq, expected = (planner.step(q, twist, scene, DT).dq for planner in planners)
+        np.testing.assert_array_equal(dq, expected)
+        q = q + DT * dq
+    assert np.abs(dq).max() > 0.01
