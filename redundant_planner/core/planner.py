@@ -38,8 +38,8 @@ from redundant_planner.core.safety.barriers import (
     room_for_rows,
     without_null_space,
 )
-from redundant_planner.core.safety.jerk import MeanVelocity, reversal_time, window_of
-from redundant_planner.core.safety.limits import can_stop, slowed_limits
+from redundant_planner.core.safety.jerk import reversal_time, Smoothing
+from redundant_planner.core.safety.limits import slowed_limits
 from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.slow_down import SlowDown
 from redundant_planner.core.safety.stage import Stage
@@ -74,7 +74,6 @@ class _LastTick(NamedTuple):
 
     Attributes:
         dq: (n,) the velocity that it planned.
-        sent, before: (n,) the velocities that were commanded then, and a tick earlier.
         reference: pose that the tip should have now; None after a reset, for the tip's own.
         followed: (m,) the part of the path that was followed.
         leaving: whether the arm is leaving its path to evade something.
@@ -82,8 +81,6 @@ class _LastTick(NamedTuple):
     """
 
     dq: Array
-    sent: Array
-    before: Array
     reference: Pose | None
     followed: Array
     leaving: bool
@@ -140,11 +137,10 @@ class Planner:
         """
         self.robot = robot
         self._filtered = filtered
-        self._reversal_time = reversal_time(robot.acceleration_max, robot.jerk_max)
-        self._window = (math.nan, 1)
         self._controlled = robot.full_twist(np.ones(robot.m))
         self._last = self._at_rest()
-        self._mean = MeanVelocity(robot.n)
+        self._smoothing = Smoothing(
+            robot.n, reversal_time(robot.acceleration_max, robot.jerk_max) if filtered else 0.0)
         self._observer = JointObserver(robot.n, 0.0, 0.0)
         self.parameters = parameters
 
@@ -209,7 +205,7 @@ class Planner:
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
         self._last = self._at_rest()
-        self._mean.start(1, self._last.dq)
+        self._smoothing.reset()
         self._observer.reset()
         self._setup.value.memory.known_at[:] = np.nan
         self._look_ahead.reset()
@@ -221,8 +217,8 @@ class Planner:
         self._watch.reset()
 
     def _at_rest(self) -> _LastTick:
-        still = np.zeros(self.robot.n)
-        return _LastTick(still, still, still, None, np.zeros(self.robot.m), False, 0.0)
+        return _LastTick(
+            np.zeros(self.robot.n), None, np.zeros(self.robot.m), False, 0.0)
 
     @property
     def reference(self) -> Pose | None:
@@ -310,13 +306,13 @@ class Planner:
             result, scene, arm, start.previous, dt * self._limits.acceleration_max)
         fallbacks = '; '.join(self._fallbacks(
             result, desired, aim.path is None and joints is None, crowded))
-        jerk_kept = self._mean.ticks >= self._ticks(dt)
+        jerk_kept = self._smoothing.keeps_jerk
         reasons = (fallbacks, aim.says, slower, reason, '' if jerk_kept else _JERK_GIVES_WAY)
 
         # Remember: where the tip should be, and how fast the arm is.
         self._remember(result, desired, start, joints is not None, target is not None)
         return StepResult(
-            self._last.sent.copy(), least_norm, homogeneous, desired.factor,
+            self._smoothing.sent.copy(), least_norm, homogeneous, desired.factor,
             result.scale, result.stage, '; '.join(filter(None, reasons)), fallbacks,
             desired.clearance_index, self._nearest(desired, around),
             desired.manipulability, pose, desired.task.error, jerk_kept,
@@ -343,7 +339,7 @@ class Planner:
         else:
             command, ahead, joints = self._way.aim(
                 start, goal, self.robot.full_twist(self._last.followed),
-                0.5 * (self._mean.ticks - 1) * start.dt, self._watch.everywhere,
+                self._smoothing.delay, self._watch.everywhere,
                 free=target is None)
             start, commanded = start._replace(command=command), bool(command.any())
             says = '; '.join(filter(None, (_BACK if target is None else '', self._way.lacks)))
@@ -388,10 +384,9 @@ class Planner:
                                lost=bool(self._way.lacks)):
                 reached = None
         self._look_ahead.note(result.scale, dt)
-        sent = self._mean.take(result.dq)
-        self._observer.commanded(sent, dt)
+        self._observer.commanded(self._smoothing.take(result.dq), dt)
         self._last = _LastTick(
-            result.dq, sent, last.sent, reached, followed, leaving,
+            result.dq, reached, followed, leaving,
             _RUSH if result.stage is Stage.FORCED and desired.intruded else last.rush - dt)
 
     def braked(self, dq: Array, dt: float) -> None:
@@ -405,32 +400,21 @@ class Planner:
         """
         last = self._last
         self._back.reset()
-        self._mean.start(self._mean.ticks, dq, dq - last.sent)
+        self._smoothing.take_over(dq, dt)
         self._observer.commanded(dq, dt)
         self._last = self._at_rest()._replace(
-            dq=self._mean.latest, sent=dq, before=last.sent, rush=last.rush - dt)
+            dq=self._smoothing.latest, rush=last.rush - dt)
 
     def _posture(self, measured: Array, dt: float) -> Array:
         """Return where the arm will be once all that was planned has been carried out (n,).
 
         Where clearance could not be kept, jerk gives way: what is planned is commanded as it is.
         """
-        last, posture = self._last, self._observer.sense(self.robot.checked_posture(measured), dt)
-        ticks = 1 if last.rush > 0.0 else self._ticks(dt)
-        if ticks != self._mean.ticks:
-            mean = MeanVelocity(self.robot.n)
-            mean.start(ticks, last.sent, last.sent - last.before)
-            # The present acceleration fades in its time: not into a joint limit.
-            if ticks == 1 or can_stop(
-                    mean.stops_at(posture, dt), mean.latest, self._limits, dt):
-                self._mean, self._last = mean, last._replace(dq=mean.latest)
-        return self._mean.stops_at(posture, dt)
-
-    def _ticks(self, dt: float) -> int:
-        """Return over how many ticks the mean of planned velocities keeps the jerk limits."""
-        if self._window[0] != dt:
-            self._window = dt, window_of(self._reversal_time, dt) if self._filtered else 1
-        return self._window[1]
+        posture = self._smoothing.begin(
+            self._observer.sense(self.robot.checked_posture(measured), dt), self._limits, dt,
+            at_once=self._last.rush > 0.0)
+        self._last = self._last._replace(dq=self._smoothing.latest)
+        return posture
 
     def _evade(
         self, start: Start, around: Surroundings, *, by_joints: bool,

@@ -27,6 +27,8 @@ from redundant_planner.core.robot.se3 import Place, place
 Array = npt.NDArray[np.float64]
 
 _TINY = float(np.finfo(float).tiny)
+# How often `near_links` returns a pair at most: as seen from here, and from where the arm rests.
+MOST_VIEWS = 2
 
 
 class LinkPairs(NamedTuple):
@@ -158,7 +160,7 @@ class NearLinks(NamedTuple):
     """The pairs of links that may meet in a tick, or where the arm would come to rest.
 
     Attributes:
-        pairs: (k,) which; one may be there twice, seen from here and from there.
+        pairs: (k,) which; one may be there `MOST_VIEWS` times, seen from here and from there.
         distance: (k,) [m], 0 for those found closer than their margin; seen from there, what it
             would be here if it changed all the way as it does there.
         gradient: (k, n) of the distance.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 import copy
-import math
 from typing import TypeVar
 
 import numpy as np
@@ -42,6 +41,8 @@ Arm = TypeVar('Arm', bound='Robot')
 
 # The planner's arithmetic keeps its digits within these [rad/s, m/s; per s²].
 _SLOWEST, _FASTEST = 1e-6, 1e6
+# A posture further away is none: a continuous joint that turns at 10 rad/s gets there in a day.
+_FARTHEST = 1e6
 # Jerk limits where none are given, as a multiple of the acceleration limits [1/s]: MoveIt's for
 # joints of unknown limits, 1000 rad/s³ beside 10 rad/s².
 _JERK = 100.0
@@ -261,10 +262,10 @@ class Robot:
         """Return `q` as a fresh (n,) array of floats.
 
         Raises:
-            StateError: the length is wrong or an entry is not finite.
+            StateError: the length is wrong, or an entry is not finite or absurdly large.
         """
         posture = np.array(q, dtype=float)
-        if posture.shape == (self.n,) and math.isfinite(sum(posture.tolist())):
+        if posture.shape == (self.n,) and posture.dot(posture) <= _FARTHEST * _FARTHEST:
             return posture
         if posture.shape != (self.n,):
             raise StateError(
@@ -273,7 +274,9 @@ class Robot:
         if not np.isfinite(posture).all():
             name = self.joint_names[int(np.argmin(np.isfinite(posture)))]
             raise StateError(f"posture of joint '{name}' is not a finite number")
-        return posture
+        j = int(np.abs(posture).argmax())
+        raise StateError(f"posture of joint '{self.joint_names[j]}' is {posture[j]:g}; no joint "
+                         f'is further from 0 than {_FARTHEST:g} [rad, m]')
 
     def task_rows(self, twist: npt.ArrayLike) -> Array:
         """Return the controlled entries (m,) of a full twist (6,)."""

@@ -18,7 +18,7 @@ from redundant_planner.core.obstacles.clearance_gradients import bending
 from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import MOST_ACTING, NearPairs
-from redundant_planner.core.obstacles.self_collision import NearLinks
+from redundant_planner.core.obstacles.self_collision import MOST_VIEWS, NearLinks
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.redundancy.reference import Start
@@ -174,7 +174,7 @@ def _most_rows(acting: int, turning: int, own: int) -> int:
     Args:
         acting: pairs of links and obstacles whose barrier could act.
         turning: joints that turn.
-        own: pairs of links that could meet.
+        own: views of pairs of links that could meet, see `NearLinks`.
     """
     return acting + 2 * turning + own + _OTHER_ROWS
 
@@ -185,13 +185,19 @@ most_rows = kernel(_most_rows)
 def room_for_rows(constants: RobotConstants) -> Rows:
     """Return room for as many rows as a tick of this robot may have."""
     n = len(constants.scaling)
-    most = _most_rows(MOST_ACTING, n, len(constants.self_pairs))
+    most = _most_rows(MOST_ACTING, n, MOST_VIEWS * len(constants.self_pairs))
     return Rows(np.empty((most, n)), np.empty((3, most)), np.empty((3, most), np.intp))
 
 
 @kernel
 def cleared(rows: Rows, count: int) -> Barriers:
-    """Return the first rows, as views, with nothing in them."""
+    """Return the first rows, as views, with nothing in them.
+
+    What is written to them is bounded by `count`, and that is checked here, once a tick: machine
+    code would write beyond the end without a word.
+    """
+    if count > len(rows.gradient):
+        raise IndexError('a tick has more barriers than room_for_rows has room for')
     rows.gradient[:count], rows.terms[:, :count], rows.about[:, :count] = 0.0, 0.0, -1
     return barriers_in_compiled(rows, count)
 

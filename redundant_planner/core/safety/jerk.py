@@ -6,13 +6,14 @@ keeps every limit of position, velocity and acceleration that the planned motion
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import math
 
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.kernels import compiled, Matrix, OutMatrix, OutVector, Vector
-from redundant_planner.core.safety.limits import braked
+from redundant_planner.core.safety.limits import braked, can_stop, Limits
 
 Array = npt.NDArray[np.float64]
 
@@ -35,14 +36,10 @@ def window_of(reversal: float, dt: float) -> int:
 
 
 class MeanVelocity:
-    """The mean of the joint velocities that were planned last."""
+    """The mean of the joint velocities that were planned last, in ticks of one length."""
 
-    def __init__(self, n: int) -> None:
-        """Stand still, with a window of one tick."""
-        self.start(1, np.zeros(n))
-
-    def start(self, ticks: int, velocity: Array, change: Array | None = None) -> None:
-        """Begin anew, with a mean that is `velocity` and has been changing steadily.
+    def __init__(self, ticks: int, velocity: Array, change: Array | None = None) -> None:
+        """Begin with a mean that is `velocity` and has been changing steadily.
 
         Args:
             ticks: of the window.
@@ -53,35 +50,162 @@ class MeanVelocity:
         steady = np.zeros(len(velocity)) if change is None else change
         self._planned = velocity + np.outer(since, steady)
         self._next = 0
-        self._latest = self._planned[-1].copy()
+        self.latest = self._planned[-1].copy()
+        self.ticks = ticks
 
-    @property
-    def ticks(self) -> int:
-        """Length of the window."""
-        return len(self._planned)
+    def delay(self, dt: float) -> float:
+        """Return how long commands take to follow what is planned [s]."""
+        return 0.5 * (self.ticks - 1) * dt
 
-    @property
-    def latest(self) -> Array:
-        """The velocity (n,) that was planned last."""
-        return self._latest
-
-    def take(self, planned: Array) -> Array:
+    def take(self, planned: Array, dt: float) -> Array:
         """Take a planned velocity (n,); return the mean, which is the caller's to keep."""
-        self._latest = planned
-        if len(self._planned) == 1:
+        self.latest = planned
+        if self.ticks == 1:
             return planned.copy()
         mean, at = np.empty(len(planned)), self._next
-        self._next = (at + 1) % len(self._planned)
+        self._next = (at + 1) % self.ticks
         _take(self._planned, at, planned, mean)
         return mean
 
     def stops_at(self, posture: Array, dt: float) -> Array:
         """Return where joints at a posture (n,) get to if 0 is planned from now on [rad, m]."""
-        if len(self._planned) == 1:
+        if self.ticks == 1:
             return posture
         stop = np.empty(len(posture))
         _stop(self._planned, self._next, posture, dt, stop)
         return stop
+
+
+class FadingMean:
+    """A mean of planned velocities u in which they fade with age, in ticks of any length.
+
+    v_k = v_{k-1} + dt/(dt + τ) (u_k − v_{k-1}). Then, whatever the sequence of dt, u = v + τ v̇,
+    and joints at q come to rest at q + τ v if 0 is planned from now on. The acceleration
+    v̇_k = v̇_{k-1} + dt/(dt + τ) (u̇_k − v̇_{k-1}) is within ±a as u̇ is, and changes by no more than
+    2a dt/τ: with τ ≥ 2a/j the jerk is within ±j. The delay is twice that of a window.
+    """
+
+    def __init__(self, delay: float, velocity: Array, acceleration: Array) -> None:
+        """Begin with a mean (n,) [rad/s, m/s], and how fast it changes [per s]; delay τ [s]."""
+        self._delay, self._mean = delay, velocity
+        self.latest = velocity + delay * acceleration
+
+    def delay(self, dt: float) -> float:
+        """Return τ, whatever the tick [s]."""
+        return self._delay
+
+    def take(self, planned: Array, dt: float) -> Array:
+        """Take the velocity (n,) planned for dt [s]; return the mean, the caller's to keep."""
+        self.latest = planned
+        self._mean = self._mean + (planned - self._mean) * (dt / (dt + self._delay))
+        return self._mean.copy()
+
+    def stops_at(self, posture: Array, dt: float) -> Array:
+        """Return where joints at a posture (n,) get to if 0 is planned from now on [rad, m]."""
+        return posture + self._delay * self._mean
+
+
+class Smoothing:
+    """Makes commands of planned velocities, so that they keep the jerk limits.
+
+    A `MeanVelocity` does while all ticks take equally long, a `FadingMean` where they do not.
+
+    Attributes:
+        sent: (n,) what was commanded last.
+    """
+
+    def __init__(self, n: int, reversal: float) -> None:
+        """Prepare for n joints, the slowest of which needs `reversal` [s], see `reversal_time`."""
+        self._n, self._reversal = n, reversal
+        self.reset()
+
+    def reset(self) -> None:
+        """Stand still."""
+        self.sent = self._before = np.zeros(self._n)
+        self._mean: MeanVelocity | FadingMean = MeanVelocity(1, self.sent)
+        # Of the last tick: its length, how many in a row took as long, and a window of such ticks.
+        self._dt, self._alike, self._ticks = math.inf, 0, 1
+
+    @property
+    def latest(self) -> Array:
+        """The velocity (n,) that was planned last."""
+        return self._mean.latest
+
+    @property
+    def delay(self) -> float:
+        """How long commands take to follow what is planned [s]."""
+        return self._mean.delay(self._dt)
+
+    @property
+    def keeps_jerk(self) -> bool:
+        """Whether commands keep the jerk limits."""
+        mean = self._mean
+        return (mean.ticks >= self._ticks if isinstance(mean, MeanVelocity)
+                else mean.delay(self._dt) >= self._reversal)
+
+    def begin(self, posture: Array, limits: Limits, dt: float, *, at_once: bool) -> Array:
+        """Begin a tick; return where joints get to if 0 is planned from now on (n,) [rad, m].
+
+        Args:
+            posture: (n,) where they are.
+            limits: of the joints.
+            dt: length of the tick [s].
+            at_once: whether what is planned is commanded at once, whatever the jerk.
+        """
+        held = self._dt
+        self._count(dt)
+        ticks, mean = 1 if at_once else self._ticks, self._mean
+        fits = (mean.ticks == ticks and (self._alike > 1 or ticks == 1)
+                if isinstance(mean, MeanVelocity)
+                else not at_once and self.keeps_jerk and self._alike <= ticks)
+        if not fits:
+            for other in self._others(ticks, held):
+                # The present acceleration fades in its time: not into a joint limit.
+                if (isinstance(other, MeanVelocity) and other.ticks == 1) or can_stop(
+                        other.stops_at(posture, dt), other.latest, limits, dt):
+                    self._mean = other
+                    break
+        return self._mean.stops_at(posture, dt)
+
+    def take(self, planned: Array) -> Array:
+        """Take the velocity (n,) planned for the tick; return what is to be commanded (n,)."""
+        self._before, self.sent = self.sent, self._mean.take(planned, self._dt)
+        return self.sent
+
+    def take_over(self, sent: Array, dt: float) -> None:
+        """Note that something else (n,) was commanded for a tick of dt [s]."""
+        self._count(dt)
+        self._before, self.sent = self.sent, sent
+        change, mean = sent - self._before, self._mean
+        if isinstance(mean, FadingMean):
+            self._mean = FadingMean(mean.delay(dt), sent, change / dt)
+        else:
+            self._mean = MeanVelocity(mean.ticks if self._alike > 1 else 1, sent, change)
+
+    def _count(self, dt: float) -> None:
+        """Note the length of a tick [s]."""
+        if dt != self._dt:
+            self._dt, self._alike, self._ticks = dt, 0, window_of(self._reversal, dt)
+        self._alike += 1
+
+    def _others(self, ticks: int, held: float) -> Iterator[MeanVelocity | FadingMean]:
+        """Yield means that go on from the last command and its acceleration, the best first.
+
+        Args:
+            ticks: of a window.
+            held: how long the last command has been holding [s].
+        """
+        mean, change = self._mean, self.sent - self._before
+        window = isinstance(mean, MeanVelocity)
+        if ticks == 1 or self._alike > (1 if window else ticks) or not (
+                self.sent.any() or self._before.any()):
+            yield MeanVelocity(ticks, self.sent, change * (self._dt / held))
+        if not window or self._alike == 1:
+            yield FadingMean(self._reversal, self.sent, change / held)
+        if window and self._alike == 1:
+            # Less delay leaves more room: jerk gives way before the limits of positions do.
+            yield FadingMean(mean.delay(held), self.sent, change / held)
+            yield MeanVelocity(1, self.sent)
 
 
 @compiled
@@ -127,9 +251,8 @@ class SmoothStop:
     def next(self) -> Array:
         """Return the next command (n,) of the stop; exactly 0 at its end."""
         if self._mean is None:
-            self._mean = MeanVelocity(len(self._last))
-            self._mean.start(self._ticks, self._last, self._last - self._before)
+            self._mean = MeanVelocity(self._ticks, self._last, self._last - self._before)
         self._before = self._last
         self._last = self._mean.take(
-            braked(self._mean.latest, self._acceleration_max, self._dt))
+            braked(self._mean.latest, self._acceleration_max, self._dt), self._dt)
         return self._last

@@ -71,11 +71,12 @@ def velocity_bounds(
     - the velocity limit, and previous + a dt;
     - d / (T/2 + dt), the largest speed at which braking the whole arm in proportion stops it
       in time. As T ≥ |q̇_j| / a_j for every joint, the joint alone can brake in time as well.
-    The lower bound mirrors it. A joint outside its range may not move further out. Where the
-    acceleration limit contradicts the others, they win. But measurements are always a little
-    old: an arm found further on than it could be may brake in proportion, which keeps its path,
-    as long as that leads no further than half the margin. A joint that brakes as hard as it may
-    can use half of what is left of the margin.
+    The lower bound mirrors it. A joint outside its range may not move further out. Measurements
+    are always a little old: an arm found further on than it could be may brake in proportion,
+    which keeps its path, as long as that leads no further than half the margin. A joint that
+    brakes as hard as it may can use half of what is left of the margin. Where the others ask for
+    more than the acceleration limit gives, as after a margin has grown, a joint brakes as hard as
+    it may: no drive does more.
 
     Args:
         q: (n,) positions.
@@ -85,7 +86,7 @@ def velocity_bounds(
         dt: [s].
 
     Returns:
-        lower, upper, and whether they keep the acceleration limits.
+        lower, upper, and whether the acceleration limits leave room for all others.
     """
     n = len(q)
     slowed = braked(previous, limits.acceleration_max, dt)
@@ -107,7 +108,10 @@ def velocity_bounds(
         slowest, fastest = bounds[0, i], bounds[1, i]
         lower = previous[i] - limits.acceleration_max[i] * dt
         upper = previous[i] + limits.acceleration_max[i] * dt
-        kept = kept and lower <= fastest + TOLERANCE and upper >= slowest - TOLERANCE
+        if lower > fastest + TOLERANCE:
+            kept, fastest = False, lower
+        if upper < slowest - TOLERANCE:
+            kept, slowest = False, upper
         bounds[0, i] = max(min(lower, fastest), slowest)
         bounds[1, i] = min(max(upper, slowest), fastest)
     return bounds[0], bounds[1], kept

@@ -14,6 +14,8 @@ Array = npt.NDArray[np.float64]
 # The polynomials of a span in u: weights of four control points (rows: powers of u).
 _BASIS = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0],
                    [-1.0, 3.0, -3.0, 1.0]]) / 6.0
+# Most pieces of a polygon: the way of an arm that is found far away takes no longer than others.
+_MOST_PIECES = 2000
 
 
 class JointCurve:
@@ -44,13 +46,15 @@ class JointCurve:
 def resampled(polygon: Array, scaling: Array, spacing: float) -> Array:
     """Return points (k, n) along a polygon (c, n), no further apart than a spacing.
 
+    Of a polygon longer than `_MOST_PIECES` of these, that many pieces are returned.
+
     Args:
-        polygon: its corners.
+        polygon: its corners, finite and so near that the squares of their distances are.
         scaling: (n,) of the joints' lengths, see `PathJoints`.
         spacing: with joint weights [rad].
     """
     steps = np.diff(polygon, axis=0) / scaling
     along = np.concatenate((np.zeros(1), np.cumsum(np.sqrt((steps * steps).sum(axis=1)))))
-    count = max(int(np.ceil(along[-1] / spacing)), 4)
+    count = max(int(np.ceil(min(along[-1] / spacing, _MOST_PIECES))), 4)
     at = np.linspace(0.0, along[-1], count + 1)
     return np.array([np.interp(at, along, column) for column in polygon.T]).T

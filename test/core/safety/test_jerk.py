@@ -38,12 +38,11 @@ def test_means_keep_what_the_planned_motion_keeps_and_the_jerk_besides(seed, dt,
     acceleration_max = random.uniform(1.0, 20.0, N)
     jerk_max = acceleration_max * 10.0**ratio * random.uniform(0.5, 2.0, N)
     ticks = window_of(reversal_time(acceleration_max, jerk_max), dt)
-    mean = MeanVelocity(N)
-    mean.start(ticks, np.zeros(N))
+    mean = MeanVelocity(ticks, np.zeros(N))
     planned = np.cumsum(
         random.choice([-1.0, 0.0, 1.0], (300, 1)) * acceleration_max * dt
         * random.uniform(0.0, 1.0, (300, N)), axis=0)
-    velocities = np.array([mean.take(u) for u in planned])
+    velocities = np.array([mean.take(u, dt) for u in planned])
     acceleration, jerk = differences(velocities, dt)
     assert (np.abs(velocities) <= np.abs(planned).max(axis=0) * ROUND_OFF).all()
     assert (np.abs(acceleration) <= acceleration_max * ROUND_OFF).all()
@@ -56,7 +55,7 @@ def test_means_keep_what_the_planned_motion_keeps_and_the_jerk_besides(seed, dt,
     # What is on its way is known: planning nothing more, the arm still goes there.
     posture = random.uniform(-1.0, 1.0, N)
     stop = mean.stops_at(posture, dt)
-    rest = np.array([mean.take(np.zeros(N)) for _ in range(ticks)])
+    rest = np.array([mean.take(np.zeros(N), dt) for _ in range(ticks)])
     np.testing.assert_allclose(posture + rest.sum(axis=0) * dt, stop, atol=1e-12)
     np.testing.assert_array_equal(rest[-1], 0.0)
 
