@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import gains_of, joint_weights, limits_of, robot_constants
-from redundant_planner.core.errors import known, ParameterError, StateError
+from redundant_planner.core.errors import known, ParameterError, PlannerError, shown, StateError
 from redundant_planner.core.horizon.evasive_plan import Aside, EvasivePlan
 from redundant_planner.core.horizon.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
@@ -55,7 +55,7 @@ from redundant_planner.core.tick import Memory, Setup, Wish, wish, World
 Array = npt.NDArray[np.float64]
 
 # The mean that keeps the jerk limits takes as many ticks as there are in up to a second [s].
-_SHORTEST_TICK = 1e-4
+_SHORTEST_TICK, _LONGEST_TICK = 1e-4, 10.0
 # A tick in which evasion looks at more distances has no time to improve the joint path ahead.
 _MANY_DISTANCES = 600
 # Evasion waits in ticks that choose among many obstacles, but in no more than these in a row.
@@ -63,6 +63,8 @@ _MOST_WAITING = 2
 # What is said while the arm is on a free way back to its path, and where jerk is not limited.
 _BACK = 'the arm comes back to its path'
 _JERK_GIVES_WAY = 'jerk gives way to a clearance'
+# Stages that keep every clearance with the path kept: they may be those of a slower arm.
+_SLOWER_STAGES = (Stage.SCALED, Stage.SLIDING, Stage.BRAKING)
 # How fast the reference pose catches up with a tip that evades along the path [1/s].
 _CATCHING_UP = 5.0
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
@@ -111,6 +113,12 @@ class _Aim(NamedTuple):
     says: str
 
 
+def _check_tick(dt: float) -> None:
+    if not _SHORTEST_TICK <= dt <= _LONGEST_TICK:
+        raise StateError(
+            f'dt is {dt}; it must be {_SHORTEST_TICK:g} to {_LONGEST_TICK:g} s')
+
+
 class Planner:
     """Velocity-level redundancy resolution for one robot.
 
@@ -142,6 +150,7 @@ class Planner:
         self._smoothing = Smoothing(
             robot.n, reversal_time(robot.acceleration_max, robot.jerk_max) if filtered else 0.0)
         self._observer = JointObserver(robot.n, 0.0, 0.0)
+        self._parameters, self._margin_grew = parameters, False
         self.parameters = parameters
 
     @property
@@ -161,6 +170,8 @@ class Planner:
         watch = ObstacleWatch(robot, parameters, limits, constants, gains)
         slow_down = SlowDown(robot, parameters.slow_down)
         # Nothing has changed where one of these refused the parameters.
+        self._margin_grew = self._margin_grew or (
+            parameters.clearance_margin > self._parameters.clearance_margin)
         self._parameters, self._weights, self._limits = parameters, weights, limits
         self._constants, self._gains = constants, gains
         self._setup = Packed.of(Setup(constants, limits, gains, Memory(
@@ -189,8 +200,12 @@ class Planner:
         Raises:
             ObstacleError: they cannot be held; the arm is as before then.
         """
-        self.robot = self.robot.holding(things)
-        self.parameters = self._parameters
+        before, self.robot = self.robot, self.robot.holding(things)
+        try:
+            self.parameters = self._parameters
+        except PlannerError:
+            self.robot = before
+            raise
 
     def contacts(self, q: Array, scene: Scene) -> tuple[Contact, ...]:
         """Return which links touch which obstacles at a posture (n,), and whether they may.
@@ -265,14 +280,14 @@ class Planner:
                 count.
 
         Raises:
-            StateError: `q`, `twist` or `target` does not fit, or `dt` is shorter than 1e-4 s.
+            StateError: `q`, `twist`, `ahead` or `target` does not fit, or `dt` is not within
+                1e-4 to 10 s.
         """
         # Sense: where the arm is, and the obstacles near it.
         command, commanded = limited_twist(
             twist, self._controlled, self._parameters.limits_linear_speed,
             self._parameters.limits_angular_speed)
-        if not _SHORTEST_TICK <= dt < math.inf:
-            raise StateError(f'dt is {dt}; it must be {_SHORTEST_TICK:g} s or longer')
+        _check_tick(dt)
         target = None if target is None else checked_target(target, self.robot)
         arm = self.robot.kinematics_at(self._posture(q, dt))
         pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
@@ -297,13 +312,21 @@ class Planner:
             wanted = joints.wanted
         elif aim.aside is not None and leaves:
             wanted = aim.aside.velocity
-        result = Filtered.untouched(wanted)
-        if self._filtered and (joints is not None or leaves or not desired.admissible):
+        result, share, slower = Filtered.untouched(wanted), 1.0, ''
+        if self._filtered and not leaves:
+            share, slower = self._slow_down.share(
+                wanted, scene, arm, start.previous, dt * self._limits.acceleration_max)
+        if self._filtered and (
+                joints is not None or leaves or share < 1.0 or not desired.admissible):
             barriers = barriers_in(self._setup.value.memory.rows, desired.rows_used)
-            result = self._filter(desired, wanted, barriers, start, joints, leaves=leaves)
+            result = self._filter(desired, wanted, barriers, start, joints, share, leaves=leaves)
+            if share < 1.0 and result.stage not in _SLOWER_STAGES:
+                # A clearance that asks for a faster arm goes first.
+                share, slower = 1.0, ''
+                result = self._filter(
+                    desired, wanted, barriers, start, joints, share, leaves=leaves)
             reason = self._reason(result, barriers, around, aim)
-        result, slower = self._slow_down.slowed(
-            result, scene, arm, start.previous, dt * self._limits.acceleration_max)
+            result = result._replace(scale=share * result.scale)
         fallbacks = '; '.join(self._fallbacks(
             result, desired, aim.path is None and joints is None, crowded))
         jerk_kept = self._smoothing.keeps_jerk
@@ -387,7 +410,13 @@ class Planner:
         self._observer.commanded(self._smoothing.take(result.dq), dt)
         self._last = _LastTick(
             result.dq, reached, followed, leaving,
-            _RUSH if result.stage is Stage.FORCED and desired.intruded else last.rush - dt)
+            _RUSH if self._rushes(result, desired) else last.rush - dt)
+
+    def _rushes(self, result: Filtered, desired: Wish) -> bool:
+        """Return whether jerk gives way: not where a margin has grown and nothing moves."""
+        self._margin_grew = self._margin_grew and desired.intruded
+        return result.stage is Stage.FORCED and desired.intruded and not (
+            self._margin_grew and self._watch.fastest == 0.0)
 
     def braked(self, dq: Array, dt: float) -> None:
         """Note that something else than the last step's velocity was commanded, to stop the arm.
@@ -397,8 +426,15 @@ class Planner:
         Args:
             dq: (n,) that velocity [rad/s, m/s].
             dt: how long it holds [s].
+
+        Raises:
+            StateError: `dq` or `dt` does not fit.
         """
-        last = self._last
+        _check_tick(dt)
+        dq, last = np.array(dq, dtype=float), self._last
+        if dq.shape != (self.robot.n,) or not np.isfinite(dq).all():
+            raise StateError(f'dq is {shown(dq)}; it takes {self.robot.n} finite numbers, one for '
+                             'each joint')
         self._back.reset()
         self._smoothing.take_over(dq, dt)
         self._observer.commanded(dq, dt)
@@ -474,9 +510,9 @@ class Planner:
 
     def _filter(
         self, desired: Wish, wanted: Array, barriers: Barriers, start: Start,
-        joints: JointMotion | None, *, leaves: bool,
+        joints: JointMotion | None, share: float, *, leaves: bool,
     ) -> Filtered:
-        """Return the admissible velocity nearest to the wanted one (n,)."""
+        """Return the admissible velocity nearest to a share of the wanted one (n,)."""
         p, task, limits = self._parameters, desired.task, self._limits
         jacobian = start.arm.jacobian
         if desired.unseen_share < 1.0:
@@ -495,6 +531,8 @@ class Planner:
             request = Request(
                 wanted, jacobian, task.commanded + task.feedback, task.feedback,
                 task.turning, start.arm.q, start.previous)
+        if share < 1.0:
+            request = request._replace(desired=share * wanted, twist=share * request.twist)
         result = safe_velocity(
             request, limits, barriers, weights=self._weights, gain=p.clearance_gain,
             may_yield=leaves or (desired.intruded and p.path_priority != 'strict'),

@@ -57,6 +57,11 @@ class ObstacleLists:
         """The number of obstacles in all of them."""
         return sum(len(one.things.shapes) for one in self._listed.values())
 
+    def count_without(self, key: Key) -> int:
+        """Return how many obstacles all other markers list."""
+        listed = self._listed.get(key)
+        return self.count - (len(listed.things.shapes) if listed else 0)
+
     @property
     def next_change(self) -> float:
         """When the next one ends or counts as static [s], ∞ for never."""

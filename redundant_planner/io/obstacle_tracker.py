@@ -223,9 +223,11 @@ class ObstacleTracker:
         lists[:first] = False
         if lists.any() or self._lists.count:
             problems += self._take_lists(markers, lists | acting, centers, axes, now)
-        self._keep(self._tracks.expiry > -np.inf)
+        kept = self._tracks.expiry > -np.inf
+        self._keep(kept)
         # What stands before a DELETEALL may be wrong next time, and that has to be said.
-        if first <= 1 and adds[first:].all() and len(rows) == len(actions) - first and all(
+        if first <= 1 and kept.all() and adds[first:].all() and (
+                len(rows) == len(actions) - first) and all(
                 frame in self._frames for frame in set(listing.frames)):
             self._known = _KnownListing(listing, first, rows, types[places])
         return problems
@@ -252,7 +254,7 @@ class ObstacleTracker:
             if listing.actions[place] == DELETE or not lists_many(listing.types[place]):
                 self._changed = self._lists.remove(key) or self._changed
                 continue
-            room = MOST_OBSTACLES - len(self._index) - self._lists.count
+            room = MOST_OBSTACLES - len(self._index) - self._lists.count_without(key)
             problem = problem_of_list(markers, place, centers[place], axes[place], room)
             if problem:
                 problems.append(problem)

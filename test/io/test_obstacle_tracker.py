@@ -110,8 +110,26 @@ def test_a_list_comes_goes_and_ends_as_a_whole():
     assert book.scene.names == ()
 
 
+def test_a_list_that_comes_again_takes_its_own_room(monkeypatch):
+    monkeypatch.setattr('redundant_planner.io.obstacle_tracker.MOST_OBSTACLES', 4)
+    book, told = ObstacleTracker([], ['base']), marker(7, kind=Marker.CUBE_LIST)
+    for i in range(3):
+        told.points = [Point(x=float(i)), Point(), Point()]
+        assert not tell(book, 0.1 * i, told)
+        assert book.scene.centers[0, 0] == i and len(book.scene.names) == 3
+
+
+@pytest.mark.parametrize('now', [math.nan, -math.inf])
+def test_a_listing_whose_obstacles_are_dropped_at_once_is_not_taken_for_known(now):
+    book, told = ObstacleTracker([], ['base']), marker(1)
+    told.lifetime.sec = 1
+    for _ in range(3):
+        tell(book, now, told)
+    assert len(book._tracks.expiry) == len(book.scene.names)
+
+
 @pytest.mark.parametrize(('point', 'count', 'problem'), [
-    (math.nan, 1, 'point 1 at'), (2e6, 1, 'point 1 at'), (0.0, MOST_OBSTACLES, 'room for 2')])
+    (math.nan, 1, 'point 1 at'), (2e6, 1, 'point 1 at'), (0.0, MOST_OBSTACLES, 'room for 4')])
 def test_a_bad_list_changes_nothing(point, count, problem, monkeypatch):
     monkeypatch.setattr('redundant_planner.io.obstacle_tracker.MOST_OBSTACLES', 4)
     book, told = ObstacleTracker([], ['base']), marker(7, kind=Marker.CUBE_LIST)

@@ -89,7 +89,7 @@ def step_to_pose(orthogonal: Matrix, upper: Matrix, error: Vector, damping: floa
             total -= lower[k, i] * dual[k]
         dual[i] = total / lower[i, i]
     step = np.zeros(len(orthogonal))
-    for i in range(m):
+    for i in range(min(m, len(step))):
         along = 0.0
         for k in range(i, m):
             along += upper[i, k] * dual[k]

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
+from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon.held_twist import continued, growth_of
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.least_norm_path import path_joints
@@ -183,11 +184,20 @@ class LookAhead:
         horizon.reach(ahead.rest if isinstance(ahead, PreviewAhead) else math.inf, start.dt)
         times = horizon.times
         twists = (continued(start.command, growth, middles(times)) if ahead is None
-                  else self._controlled * ahead(times))
+                  else self._controlled * self._asked(ahead, times))
         self._due = _Due(start, obstacles, twists, elapsed)
         if not self._has_planned:
             self.catch_up(chose_ahead=False)
         self._has_planned = True
+
+    def _asked(self, ahead: TwistAhead, times: Array) -> Array:
+        """Return the twists (N, 6) that are said to come at times (N + 1,); check their number."""
+        twists = np.asarray(ahead(times), dtype=float)
+        if twists.shape != (len(times) - 1, 6):
+            raise StateError(
+                f'ahead returned twists of shape {twists.shape} for {len(times)} times; it must '
+                f'return one from each time to the next, ({len(times) - 1}, 6)')
+        return twists
 
     def catch_up(self, chose_ahead: bool) -> bool:
         """Take the step that the last tick has left; return whether it did.

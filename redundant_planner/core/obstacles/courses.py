@@ -185,8 +185,8 @@ def deepest_threat(
                     obstacles, link, obstacle, start, end, joints.horizon, -more)
             depths[link * count + obstacle] = least + more
     # The one that seems deepest comes first: then few others need more than a bound.
-    first, deepest, at = int(depths.argmin()) if count > 0 else 0, 0.0, -1
-    for i in range(-1 if count > 0 else 0, len(depths)):
+    first, deepest, at = int(depths.argmin()) if len(depths) else 0, 0.0, -1
+    for i in range(-1 if len(depths) else 0, len(depths)):
         pair = i if i >= 0 else first
         depth, link, obstacle = depths[pair], pair // count, pair % count
         if depth < deepest and obstacles.shapes[obstacle] != ELLIPSOID:

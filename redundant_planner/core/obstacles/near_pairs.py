@@ -185,11 +185,13 @@ def near_pairs(
     """
     shape = obstacles.smallest.shape
     pairs = Pairs(np.empty(shape), np.empty(shape), np.empty(shape))
-    fastest = 0.0
+    fastest, fastest_link = 0.0, 0.0
     for speed in obstacles.speeds:
         fastest = max(fastest, speed)
+    for speed in speeds:
+        fastest_link = max(fastest_link, speed)
     measure(obstacles, arm.start, arm.end, 0.0,
-            max(influence_distance, (speeds.max() + fastest) / rate), pairs)
+            max(influence_distance, (fastest_link + fastest) / rate), pairs)
     found, count, link_at, obstacle_at = _candidates(
         obstacles, arm, pairs, speeds, rate, influence_distance)
     spare = found.spare[:count]

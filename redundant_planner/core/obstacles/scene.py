@@ -9,6 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.kernels import compiled, Matrix
 from redundant_planner.core.obstacles.obstacle import (
     BOX,
@@ -90,6 +91,21 @@ class Scene:
     half_extents: Array
     velocities: Array
     angular_velocities: Array
+
+    def __post_init__(self) -> None:
+        """Check that there is one of each for every obstacle: machine code does not.
+
+        Raises:
+            ObstacleError: there is not.
+        """
+        k = len(self.names)
+        if not (self.shapes.shape == (k,) and self.rotations.shape == (k, 3, 3)
+                and self.centers.shape == self.half_extents.shape == self.velocities.shape
+                == self.angular_velocities.shape == (k, 3)):
+            given = ', '.join(f'{field.name} {getattr(self, field.name).shape}'
+                              for field in fields(self)[1:])
+            raise ObstacleError(f'a scene of {k} names has {given}; it takes shapes ({k},), '
+                                f'rotations ({k}, 3, 3), and ({k}, 3) of the others')
 
     @classmethod
     def of(cls, obstacles: Iterable[Obstacle] = ()) -> Scene:

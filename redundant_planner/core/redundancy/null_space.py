@@ -107,7 +107,8 @@ def orthogonal_factors(jacobian: Matrix) -> tuple[Array, Array]:
     """Return Q (n, n), orthogonal, and R (m, m), upper triangular, of Jᵀ = Q [R; 0].
 
     By Householder reflections: the last n − m columns of Q are orthogonal to every row of J, of
-    any rank. A third of the time of `decompose`, for where no singular values are asked for.
+    any rank; with n < m the last rows of R are 0. A third of the time of `decompose`, for where
+    no singular values are asked for.
     """
     m, n = jacobian.shape
     rows = np.empty((n, m))
@@ -136,7 +137,7 @@ def orthogonal_factors(jacobian: Matrix) -> tuple[Array, Array]:
             for i in range(k, n):
                 turned[row, i] -= 2.0 * along / length * mirror[i]
     upper = np.zeros((m, m))
-    for i in range(m):
+    for i in range(min(m, n)):
         for j in range(i, m):
             upper[i, j] = rows[i, j]
     return turned, upper

@@ -64,9 +64,7 @@ class JointObserver:
             dt: time to the next tick [s].
         """
         if dt != self._dt:
-            self._dt = dt
-            self._late = np.tile(
-                self._state[_SPEED], (math.floor(self.dead_time / dt) + 2, 1))
+            self._take_ticks_of(dt)
         if not self._known:
             self._known = True
             self._state[:], self._late[:] = 0.0, 0.0
@@ -79,9 +77,37 @@ class JointObserver:
 
     def commanded(self, dq: Array, dt: float) -> None:
         """Take the command (n,) that holds for the next dt [rad/s, m/s; s]."""
-        if self._told > 0.0:
+        if dt != self._dt:
+            self._take_ticks_of(dt)
+        elif self._told > 0.0:
             _obey(self._state, self._late, self.lag, self.dead_time, self._told)
         self._state[_TOLD], self._told = dq, dt
+
+    def _take_ticks_of(self, dt: float) -> None:
+        """Hold the commands that are under way as those of ticks of dt [s]."""
+        if self._told > 0.0:
+            _obey(self._state, self._late, self.lag, self.dead_time, self._told)
+        count, self._told = math.floor(self.dead_time / dt) + 2, 0.0
+        if math.isnan(self._dt):
+            self._late = np.tile(self._state[_SPEED], (count, 1))
+        else:
+            self._late = _means_over(dt, count, self._late, self._dt)
+        self._dt = dt
+
+
+def _means_over(dt: float, count: int, late: Array, held: float) -> Array:
+    """Return the means (count, n) over ticks of dt [s] of commands (k, n), the oldest first.
+
+    Args:
+        dt, count: of the ticks, of which the last ends where the last command does.
+        late: the commands; before them all the first of them held.
+        held: how long each of them did [s].
+    """
+    ages, since = held * np.arange(len(late) + 1), dt * np.arange(count + 1)
+    ways = np.vstack((np.zeros_like(late[:1]), held * np.cumsum(late[::-1], axis=0)))
+    way = np.array([np.interp(since, ages, column) for column in ways.T]).T
+    way += np.outer(np.maximum(since - ages[-1], 0.0), late[0])
+    return np.ascontiguousarray(np.diff(way, axis=0)[::-1] / dt)
 
 
 @compiled

@@ -240,7 +240,14 @@ class Robot:
         return arm
 
     def kinematics_along(self, postures: Array) -> KinematicsAlong:
-        """Return the kinematics at every one of N postures (N, n): N leads every array."""
+        """Return the kinematics at every one of N postures (N, n): N leads every array.
+
+        Raises:
+            StateError: the postures are not of n joints.
+        """
+        if postures.ndim != 2 or postures.shape[1] != self.n:
+            raise StateError(
+                f'postures have shape {postures.shape}; the chain takes (N, {self.n})')
         return kinematics_along(postures, self.chain)
 
     def links(self, arm: Kinematics) -> Links:

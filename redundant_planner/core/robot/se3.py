@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 _SMALL_ANGLE = 1e-4
 # How far R Rᵀ of a rotation matrix may be from the identity.
 _NO_ROTATION = 1e-6
+# No tip gets further from its base, nor does a target lie further away [m].
+_FARTHEST = 1e6
 
 
 class Pose(NamedTuple):
@@ -53,7 +55,8 @@ def checked_pose(pose: Pose) -> Pose:
     """Return a pose as arrays of numbers.
 
     Raises:
-        StateError: the position is not three finite numbers, or the rotation no rotation matrix.
+        StateError: the position is not three finite numbers or absurdly far, or the rotation is
+            no rotation matrix.
     """
     try:
         position = np.asarray(pose.position, dtype=float)
@@ -63,6 +66,9 @@ def checked_pose(pose: Pose) -> Pose:
     if position.shape != (3,) or not np.isfinite(position).all():
         raise StateError(f'the position of the pose is {shown(position)}; it takes three finite '
                          'numbers [m]')
+    if not (np.abs(position) <= _FARTHEST).all():
+        raise StateError(f'the position of the pose is {shown(position)}; it must be within '
+                         f'{_FARTHEST:g} m')
     if rotation.shape != (3, 3) or not (
             np.abs(rotation @ rotation.T - np.eye(3)) < _NO_ROTATION).all() or (
             np.linalg.det(rotation) < 0.0):

@@ -81,8 +81,9 @@ class FadingMean:
 
     v_k = v_{k-1} + dt/(dt + τ) (u_k − v_{k-1}). Then, whatever the sequence of dt, u = v + τ v̇,
     and joints at q come to rest at q + τ v if 0 is planned from now on. The acceleration
-    v̇_k = v̇_{k-1} + dt/(dt + τ) (u̇_k − v̇_{k-1}) is within ±a as u̇ is, and changes by no more than
-    2a dt/τ: with τ ≥ 2a/j the jerk is within ±j. The delay is twice that of a window.
+    v̇_k = v̇_{k-1} + dt/(dt + τ) (u̇_k − v̇_{k-1}) is within ±a as u̇ is, and changes by less than
+    2a dt/τ. With τ ≥ 4a/j that is within ±j times the way from the middle of one tick to that of
+    the next, which is more than dt/2. The delay is four times that of a window.
     """
 
     def __init__(self, delay: float, velocity: Array, acceleration: Array) -> None:
@@ -141,7 +142,7 @@ class Smoothing:
         """Whether commands keep the jerk limits."""
         mean = self._mean
         return (mean.ticks >= self._ticks if isinstance(mean, MeanVelocity)
-                else mean.delay(self._dt) >= self._reversal)
+                else mean.delay(self._dt) >= 2.0 * self._reversal)
 
     def begin(self, posture: Array, limits: Limits, dt: float, *, at_once: bool) -> Array:
         """Begin a tick; return where joints get to if 0 is planned from now on (n,) [rad, m].
@@ -201,7 +202,7 @@ class Smoothing:
                 self.sent.any() or self._before.any()):
             yield MeanVelocity(ticks, self.sent, change * (self._dt / held))
         if not window or self._alike == 1:
-            yield FadingMean(self._reversal, self.sent, change / held)
+            yield FadingMean(2.0 * self._reversal, self.sent, change / held)
         if window and self._alike == 1:
             # Less delay leaves more room: jerk gives way before the limits of positions do.
             yield FadingMean(mean.delay(held), self.sent, change / held)

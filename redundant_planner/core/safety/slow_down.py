@@ -20,8 +20,6 @@ from redundant_planner.core.obstacles.inflation import inflated_obstacles, Infla
 from redundant_planner.core.obstacles.scene import Scene, selected
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.safety.stage import Stage
-from redundant_planner.core.safety.stages import Filtered
 
 Array = npt.NDArray[np.float64]
 
@@ -97,36 +95,33 @@ class SlowDown:
         self._radii = [capsule.radius for capsule in robot.capsules]
         self._known: tuple[Scene, list[tuple[Separation, Scene, InflatedObstacles]]] | None = None
 
-    def slowed(
-        self, result: Filtered, scene: Scene, arm: Kinematics, previous: Array, change: Array,
-    ) -> tuple[Filtered, str]:
-        """Return a tick's motion no faster than it may be, as far as the drives can brake.
+    def share(
+        self, wanted: Array, scene: Scene, arm: Kinematics, previous: Array, change: Array,
+    ) -> tuple[float, str]:
+        """Return the share of a motion that is not too fast, as far as the drives can brake.
 
-        All joints slow down alike, and the path is kept.
+        All joints slow down alike, and the path is kept. The share is taken before the safety
+        filter acts: what that adds to keep a clearance is not slowed down.
 
         Args:
-            result: of the safety filter.
+            wanted: (n,) velocities.
             scene: the obstacles.
             arm: the posture.
             previous: (n,) velocities of the last tick.
             change: (n,) by how much they can change in a tick.
 
         Returns:
-            The motion, and a phrase about what slows it down; empty where nothing does.
+            The share, and a phrase about what slows the arm down; empty where nothing does.
         """
         limit = self._limit(scene, arm)
-        if limit is _NONE or result.stage in (Stage.YIELDING, Stage.FORCED):
-            return result, ''
-        speed = self._fastest(arm, result.dq)
+        if limit is _NONE:
+            return 1.0, ''
+        speed = self._fastest(arm, wanted)
         if speed <= limit.speed:
-            return result, ''
-        dq = result.dq
-        moving = np.abs(dq) > _SLOW
-        least = (previous - np.sign(dq) * change)[moving] / dq[moving]
-        share = min(max(limit.speed / speed, float(least.max(initial=0.0))), 1.0)
-        return result._replace(
-            dq=share * dq, scale=share * result.scale, residual=share * result.residual,
-            stage=Stage.SCALED if result.stage is Stage.DESIRED else result.stage), str(limit)
+            return 1.0, ''
+        moving = np.abs(wanted) > _SLOW
+        least = (previous - np.sign(wanted) * change)[moving] / wanted[moving]
+        return min(max(limit.speed / speed, float(least.max(initial=0.0))), 1.0), str(limit)
 
     def _limit(self, scene: Scene, arm: Kinematics) -> _Limit:
         slowest = _NONE

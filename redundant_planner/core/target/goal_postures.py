@@ -78,7 +78,7 @@ def posture_at(space: FreeSpace, guess: Array, pose: Pose) -> Array | None:
 def _asides(space: FreeSpace, random: np.random.Generator) -> tuple[Array, ...]:
     """Return a way along the null space and its opposite (n,); none without a null space."""
     robot = space.robot
-    if robot.n == robot.m:
+    if robot.n <= robot.m:
         return ()
     aside = random.normal(size=robot.n)
     return aside, -aside
