@@ -177,11 +177,7 @@ class Smoothing:
         """Note that something else (n,) was commanded for a tick of dt [s]."""
         self._count(dt)
         self._before, self.sent = self.sent, sent
-        change, mean = sent - self._before, self._mean
-        if isinstance(mean, FadingMean):
-            self._mean = FadingMean(mean.delay(dt), sent, change / dt)
-        else:
-            self._mean = MeanVelocity(mean.ticks if self._alike > 1 else 1, sent, change)
+        self._mean = MeanVelocity(1, sent)
 
     def _count(self, dt: float) -> None:
         """Note the length of a tick [s]."""

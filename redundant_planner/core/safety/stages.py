@@ -152,6 +152,8 @@ def safe_velocity(
     low, high = _braking_bounds(request, limits, shorter, dt)
     # The share of the present twist that proportional braking leaves; r ≤ 1 is of this.
     share = shorter / stop if stop > 0.0 else 0.0
+    # To leave a margin less soon is cheaper than to bring another pair nearer to each other.
+    spare = barriers.spare + np.maximum(-barriers.value, 0.0)
     residual = share * (request.jacobian @ previous) + request.turning
     cut_short: list[Stage] = []
     for rule in _RULES:
@@ -169,7 +171,7 @@ def safe_velocity(
             request.desired, request.jacobian, request.feedback if rule.slack else request.twist,
             request.turning, residual, low if brakes else lower, high if brakes else upper,
             gradient, bounds,
-            barrier_rate(gain, until, dt) * barriers.spare[:rows] if rule.slack else _NO_SPARE,
+            barrier_rate(gain, until, dt) * spare[:rows] if rule.slack else _NO_SPARE,
             weights, rule.residual and not leaves, rule.slack, rule.shared,
             rule.path and may_yield, leaves and rule.path)
         found, out_of_iterations = solve(problem)
