@@ -103,7 +103,8 @@ def main(args: list[str] | None = None) -> int:
     console.print(table)
     for kind, tally in tallies.items():
         for what, trace in tally.first.items():
-            console.print(f'{kind}, seed {options.seed}: {what}, {trace}', markup=False, highlight=False)
+            console.print(f'{kind}, seed {options.seed}: {what}, {trace}',
+                          markup=False, highlight=False)
     if options.json is not None:
         options.json.write_text(json.dumps(content, indent=1))
     return 0 if all(tally.clean for tally in tallies.values()) else 1

@@ -20,7 +20,7 @@ from benchmark.fuzz.mutations import pick
 from benchmark.fuzz.random_arms import random_arm
 from benchmark.fuzz.tally import Tally
 from benchmark.scenarios import make_robot
-from redundant_planner.core.horizon.preview import Preview
+from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import METHODS, PATH_PRIORITIES, PlannerParameters
@@ -85,7 +85,8 @@ class _Drive:
         self.dt, self.jitter = float(random.choice([0.001, 0.004, 0.02, 0.05])), pick(
             random, (0.0, 0.2, 1.0))
         self.prepares, self.crowded = bool(random.random() < 0.5), bool(random.random() < 0.3)
-        self.scene, self.twist, self.ahead = Scene.of(), np.zeros(6), None
+        self.scene, self.twist = Scene.of(), np.zeros(6)
+        self.ahead: TwistAhead | None = None
         self.target: Target | None = None
         if random.random() < 0.3:
             self.planner.hold(_things(random))

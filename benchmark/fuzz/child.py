@@ -42,7 +42,7 @@ class Child:
         """Prepare to run an attack by numbers; its generator depends on the seed and these."""
         self._attack, self._seed = attack, seed
         self._folder = tempfile.TemporaryDirectory()
-        self._words = tempfile.TemporaryFile(dir=self._folder.name)
+        self._words = Path(self._folder.name) / 'last words'
         self._process: BaseProcess | None = None
 
     def __enter__(self) -> Child:
@@ -52,7 +52,6 @@ class Child:
     def __exit__(self, *error: object) -> None:
         """End the process, and remove what attacks have written."""
         self._end(signal.SIGKILL)
-        self._words.close()
         self._folder.cleanup()
 
     def run(self, number: int) -> Tally:
@@ -82,7 +81,7 @@ class Child:
     def _begin(self, number: int) -> None:
         context = multiprocessing.get_context('fork')
         self._pipe, there = context.Pipe()
-        self._words.truncate(0)
+        self._words.write_bytes(b'')
         self._since = number
         self._process = context.Process(target=self._serve, args=(there,))
         self._process.start()
@@ -105,7 +104,7 @@ class Child:
     def _serve(self, there: Connection) -> None:
         """Run the attacks that are asked for. In the new process."""
         self._pipe.close()  # so that this process ends when the other one does
-        os.dup2(self._words.fileno(), _STDERR)
+        os.dup2(os.open(self._words, os.O_WRONLY | os.O_APPEND), _STDERR)
         faulthandler.enable(_STDERR)
         with contextlib.suppress(EOFError):
             while True:
@@ -117,6 +116,4 @@ class Child:
                 there.send(tally)
 
     def _last_words(self) -> str:
-        self._words.seek(0, os.SEEK_END)
-        self._words.seek(max(self._words.tell() - _MOST_WORDS, 0))
-        return self._words.read().decode(errors='replace')
+        return self._words.read_bytes()[-_MOST_WORDS:].decode(errors='replace')

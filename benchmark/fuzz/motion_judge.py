@@ -59,7 +59,8 @@ class MotionJudge:
         self._steady = self._steady + 1 if jerk_kept and dt == self._dt else 0
         self._dt = dt
         self.q, self.velocity, self._before = before + dt * velocity, velocity, u
-        high, low = (np.maximum(robot.position_max, before), np.minimum(robot.position_min, before))
+        high = np.maximum(robot.position_max, before)
+        low = np.minimum(robot.position_min, before)
         beyond = {
             'position': np.maximum(self.q - high, low - self.q) - _ROUND_OFF,
             'velocity': np.abs(velocity) - (1.0 + _SHARE) * robot.velocity_max,
