@@ -4,35 +4,30 @@
 
 Every kind of attack gets an equal share of the time. A refusal is the right answer to bad input;
 an exception that nobody foresaw, a stall, an output beyond a limit and one that is not finite
-are defects: they are shown with their first traceback, and the exit status is 1. Attack N of a
-kind depends on the seed alone: `--what KIND --at N` runs it again by itself.
+are defects, and so is the death of the process that is attacked: another one goes on with the
+next attack then. Defects are shown with an account of the first of each sort, and the exit status
+is 1. Attack N of a kind depends on the seed alone: `--what KIND --at N` runs it again by itself.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-import faulthandler
 import importlib
+from itertools import count
 import json
 import logging
 from pathlib import Path
-import tempfile
 import time
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from benchmark.fuzz.tally import PATIENCE, Tally
+from benchmark.fuzz.child import Attack, Child
+from benchmark.fuzz.tally import COUNTS, Tally
 
 KINDS = ('core', 'bytes', 'parameters', 'robots', 'files', 'bags', 'clouds')
-COUNTS = ('inputs', 'refusals', 'unforeseen_exceptions', 'limit_violations', 'non_finite')
-
-# An attack draws from its own generator, writes to its own folder and counts into the tally.
-Attack = Callable[[np.random.Generator, Path, Tally], None]
 
 
 def attack_of(kind: str) -> Attack:
@@ -41,29 +36,27 @@ def attack_of(kind: str) -> Attack:
     return attack
 
 
-def run(kind: str, seed: int, number: int, tally: Tally) -> None:
-    """Run attack `number` of a kind."""
-    tally.attack = number
-    with tempfile.TemporaryDirectory() as folder:
-        random = np.random.default_rng((seed, KINDS.index(kind), number))
-        # What hangs outside Python's reach ends the run with a trace of where it hangs.
-        faulthandler.dump_traceback_later(10.0 * PATIENCE, exit=True)
-        attack_of(kind)(random, Path(folder), tally)
-        faulthandler.cancel_dump_traceback_later()
+def child_of(kind: str, seed: int) -> Child:
+    """Return what runs the attacks of a kind."""
+    return Child(attack_of(kind), (seed, KINDS.index(kind)))
 
 
 def run_for(kinds: list[str], seed: int, minutes: float) -> dict[str, Tally]:
     """Run the kinds one after another, each for its share of the time."""
     tallies = {kind: Tally() for kind in kinds}
     share = 60.0 * minutes / len(kinds)
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    # No thread draws it, as this process is forked; what a child writes is the child's.
+    with Progress(console=Console(stderr=True), transient=True, auto_refresh=False,
+                  redirect_stdout=False, redirect_stderr=False) as bar:
         for kind, tally in tallies.items():
-            attack_of(kind)  # importing may compile
-            task, begin, number = bar.add_task(kind, total=share), time.monotonic(), 0
-            while (elapsed := time.monotonic() - begin) < share:
-                run(kind, seed, number, tally)
-                number += 1
-                bar.update(task, completed=elapsed)
+            with child_of(kind, seed) as child:  # importing may compile
+                task, begin = bar.add_task(kind, total=share), time.monotonic()
+                for number in count():
+                    tally.add(child.run(number))
+                    elapsed = time.monotonic() - begin
+                    bar.update(task, completed=elapsed, refresh=True)
+                    if elapsed >= share:
+                        break
     return tallies
 
 
@@ -73,7 +66,7 @@ def as_json(tallies: dict[str, Tally], seed: int) -> dict[str, Any]:
         return {name: getattr(tally, name) for name in COUNTS}
 
     total = {name: sum(getattr(tally, name) for tally in tallies.values()) for name in COUNTS}
-    kinds = {kind: {**counts(tally), 'exceptions': dict(tally.kinds)}
+    kinds = {kind: {**counts(tally), 'exceptions': dict(tally.kinds), 'findings': tally.first}
              for kind, tally in tallies.items()}
     return {'seed': seed, **total, 'kinds': kinds}
 
@@ -94,8 +87,8 @@ def main(args: list[str] | None = None) -> int:
     if options.at is not None:
         if not options.what:
             parser.error('--at takes --what')
-        tallies = {options.what: Tally()}
-        run(options.what, options.seed, options.at, tallies[options.what])
+        with child_of(options.what, options.seed) as child:
+            tallies = {options.what: child.run(options.at)}
     else:
         tallies = run_for(kinds, options.seed, options.minutes)
     content = as_json(tallies, options.seed)
@@ -110,7 +103,8 @@ def main(args: list[str] | None = None) -> int:
     console.print(table)
     for kind, tally in tallies.items():
         for what, trace in tally.first.items():
-            console.print(f'{kind}: {what}, {trace}', markup=False, highlight=False)
+            console.print(f'{kind}, seed {options.seed}: {what}, {trace}',
+                          markup=False, highlight=False)
     if options.json is not None:
         options.json.write_text(json.dumps(content, indent=1))
     return 0 if all(tally.clean for tally in tallies.values()) else 1
