@@ -18,7 +18,7 @@ from pathlib import Path
 import socket
 from threading import Lock, Thread
 import time
-from urllib.parse import parse_qs, quote, unquote, urlsplit
+from urllib.parse import parse_qs, quote, SplitResult, unquote, urlsplit
 
 import viser
 from websockets.datastructures import Headers, MultipleValuesError
@@ -178,19 +178,18 @@ class PageServer:
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a request for a page; None lets the driver's connection through."""
         try:
-            host = request.headers.get('Host', '')
-            name = urlsplit(f'//{host}').hostname or ''
-            origin = urlsplit(request.headers.get('Origin', '')).netloc
-            asked = urlsplit(request.path)
+            host, origin, asked = _parts(request)
         except (ValueError, MultipleValuesError):
             return _text(http.HTTPStatus.BAD_REQUEST,
-                         'the address, Host or Origin of this request is malformed; open '
+                         'the path, Host or Origin of this request is malformed; open '
                          f'{self.url}')
+        name = host.hostname
         # A page of another site must not drive the arm, nor pretend to be this one by its name.
         if self._host in _LOOPBACK and name not in _LOOPBACK:
             return _text(http.HTTPStatus.FORBIDDEN, 'open this page as localhost')
         if asked.path == '/held':
-            return None if origin == host and self._is_drivers(request.path) else _text(
+            is_ours = origin.netloc == host.netloc
+            return None if is_ours and self._is_drivers(request.path) else _text(
                 http.HTTPStatus.FORBIDDEN, "this is for the driver's page alone")
         if asked.path.startswith('/report/'):
             file = self.reports.get(unquote(asked.path.removeprefix('/report/')))
@@ -199,12 +198,27 @@ class PageServer:
             return _html(file.read_bytes())
         if asked.path != '/':
             return _text(http.HTTPStatus.NOT_FOUND, 'there is nothing here')
-        shown = f'[{name}]' if ':' in name else name
+        shown = f'[{name}]' if name and ':' in name else name
         there = f'ws://{shown}:{self._viser_port}'
         if parse_qs(asked.query).get('websocket') != [there]:
             return Response(http.HTTPStatus.FOUND, 'Found', Headers({
                 'Location': f'/?websocket={quote(there, safe="")}', 'Content-Length': '0'}))
         return _html(self._page)
+
+
+def _parts(request: Request) -> tuple[SplitResult, SplitResult, SplitResult]:
+    """Return the Host, the Origin, empty if it is none, and the path of a request.
+
+    Raises:
+        ValueError, MultipleValuesError: one of them is malformed.
+    """
+    named, origin = request.headers.get('Host', ''), request.headers.get('Origin', 'null')
+    host, asked = urlsplit(f'//{named}'), urlsplit(request.path)
+    site = urlsplit('' if origin == 'null' else origin)
+    if (not host.hostname or host.netloc != named or host.port == 0
+            or not (site.netloc or origin == 'null') or not asked.path.startswith('/')):
+        raise ValueError
+    return host, site, asked
 
 
 def _hang_up(connection: socket.socket) -> None:

@@ -295,12 +295,12 @@ def test_a_page_that_sends_nonsense_and_many_clicks_at_once(tmp_path):
         token = page.value(f'{TOKEN}.dataset.playgroundToken')
         begin = arm.tip
         page.value(f"""new Promise((done) => {{
-            const socket = new WebSocket(`ws://${{location.host}}/held`);
+            const socket = new WebSocket(`ws://${{location.host}}/held?token={token}`);
             socket.onopen = () => {{
                 for (const pad of ['{{"axes": [NaN, 1e999], "buttons": [true]}}',
                                    '{{"axes": [1e300, -1e300], "buttons": [0,0,0,0,true]}}',
                                    '[]', '7', '{{"axes": {{}}}}'])
-                    socket.send(`{{"token": "{token}", "keys": [], "pad": ${{pad}}}}`);
+                    socket.send(`{{"clock": 1e9, "keys": [], "pad": ${{pad}}}}`);
                 socket.send('x'.repeat(100000));
                 setTimeout(done, 1000);
             }};
