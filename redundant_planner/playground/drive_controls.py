@@ -26,7 +26,7 @@ arm.**"""
 HANDLE_SIZE = 0.22
 # Stands for the key that has the arm follow the sliders; page.js minds it.
 _HOLD = f"""<button data-held="{SLIDERS_KEY}" style="width: calc(100% - 1.2em); margin: .3em .6em;
-padding: .45em; border: 0; border-radius: 4px; background: #228be6; color: white; font-weight: 500;
+padding: .6em; border: 0; border-radius: 4px; background: #228be6; color: white; font-size: .875em;
 touch-action: none; user-select: none; cursor: pointer">Hold to drive (or hold Space)</button>"""
 _AXES = ('vx [m/s]', 'vy [m/s]', 'vz [m/s]', 'wx [rad/s]', 'wy [rad/s]', 'wz [rad/s]')
 

@@ -63,7 +63,11 @@ class Page:
         while time.monotonic() < end or not any(self.moves[-3:]):
             assert time.monotonic() < end + PATIENCE, 'the page does not drive'
             self.tell('KeyW')
-            self._ros.wait_for(lambda beat=time.monotonic() + BEAT: time.monotonic() > beat)
+            self._wait(BEAT)
+
+    def _wait(self, seconds):
+        end = time.monotonic() + seconds
+        self._ros.wait_for(lambda: time.monotonic() > end)
 
     def moving_until_it_stops(self):
         """Return how many moving twists come from now on until it stops, by ten zeros."""
