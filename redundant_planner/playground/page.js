@@ -70,17 +70,22 @@
     heard = performance.now();
     if (wasOld) tell();  // the first message after a pause had an old clock, and did not count
   }
-  // A connection is the driver's, for as long as viser shows the token that it began with.
-  let tried = -Infinity;
+  // A connection is the driver's, for as long as viser shows the token that it began with. One
+  // that ends comes again after a second: a new scene brings a new token first.
+  let ended = -Infinity;
   function connect() {
     const mine = token();
-    if (socket && mine !== tokenOfSocket) { socket.close(); socket = null; tried = -Infinity; }
-    if (!mine || (socket && socket.readyState !== WebSocket.CLOSED)) return;
-    if (performance.now() - tried < 1000) return;
-    tried = performance.now();
-    tokenOfSocket = mine;
-    socket = new WebSocket(`ws://${location.host}/held?token=${encodeURIComponent(mine)}`);
-    socket.onmessage = hear;
+    if (mine !== tokenOfSocket) {
+      socket?.close();
+      [socket, tokenOfSocket, ended] = [null, mine, -Infinity];
+    }
+    if (!mine || socket || performance.now() - ended < 1000) return;
+    const begun = socket = new WebSocket(
+      `ws://${location.host}/held?token=${encodeURIComponent(mine)}`);
+    begun.onmessage = hear;
+    begun.onclose = () => {
+      if (socket === begun) [socket, ended] = [null, performance.now()];
+    };
   }
   setInterval(() => { connect(); tell(); }, BEAT);
 })();
