@@ -16,18 +16,13 @@ from rclpy.executors import Executor
 import viser
 
 from redundant_planner.core.errors import ObstacleError, PlannerError
-from redundant_planner.playground.drive import (
-    DeadMan,
-    SLIDERS_KEY,
-    twist_of_gamepad,
-    twist_of_keys,
-)
+from redundant_planner.playground.drive import DeadMan, twist_of
 from redundant_planner.playground.drive_controls import DriveControls
 from redundant_planner.playground.item_controls import ItemControls
 from redundant_planner.playground.items_view import ItemsView, moved, OthersView
 from redundant_planner.playground.more_controls import Granted, MoreControls
 from redundant_planner.playground.obstacle_sender import ObstacleSender
-from redundant_planner.playground.page_server import Held, PageServer
+from redundant_planner.playground.page_server import PageServer
 from redundant_planner.playground.planner_client import PlannerClient
 from redundant_planner.playground.recordings import Recordings
 from redundant_planner.playground.scene_nodes import SceneNodes
@@ -124,8 +119,8 @@ class Playground:
         with server.gui.add_folder('Now', order=1.2):
             self._figures = server.gui.add_html('')
         self._items_view = ItemsView(
-            server.scene, lambda *drag: self._later(self._drag_item, *drag),
-            lambda *click: self._later(self._click_item, *click))
+            server.scene, lambda *drag: self._if_drives(self._drag_item, *drag),
+            lambda *click: self._if_drives(self._click_item, *click))
         self._others_view = OthersView(server.scene)
 
         async def comes(client: viser.ClientHandle) -> None:
@@ -143,9 +138,7 @@ class Playground:
         Raises:
             PlannerError: as `PageServer`.
         """
-        self._page = PageServer(
-            host, port, self._server.get_port(), lambda held: self._later(self._hold, held),
-            lambda token: self._later(self._hold, Held(token)))
+        self._page = PageServer(host, port, self._server.get_port())
         self._page.reports = self._recordings.reports
         return self._page.url
 
@@ -159,6 +152,11 @@ class Playground:
 
     def _later(self, wish: Callable[..., object], *arguments: Any) -> None:
         self._wishes.put((wish, arguments))
+
+    def _if_drives(self, wish: Callable[..., object], client_id: int, *arguments: Any) -> None:
+        """Grant a wish of the driver's later; a watcher's is dropped here, and never waits."""
+        if self._is_driver(client_id):
+            self._later(wish, client_id, *arguments)
 
     # The loop.
 
@@ -176,7 +174,7 @@ class Playground:
                 self._notice = str(error)
         if self._nodes is not None:
             self._nodes.check()
-        self._command(now)
+        self._command()
         time_of_things = now - self._begin
         if self._sender is not None and self._frame:
             topics = {arm.client.obstacle_topic for arm in self._arms} - {''}
@@ -202,11 +200,19 @@ class Playground:
         robot = self._arms[0].client.robot if self._arms else None
         return '' if robot is None else robot.base_frame
 
-    def _command(self, now: float) -> None:
+    def _command(self) -> None:
         """Send what the driver asks for."""
         driver = self._driver
         if driver is None or driver.drive is None or not self._arms:
             return
+        held = self._page.take() if self._page is not None else None
+        now = time.monotonic()  # all else in this turn may have taken long
+        if held is not None:
+            wanted = twist_of(held, driver.drive.speeds, driver.drive.sliders)
+            if wanted is None:
+                self._dead_man.let_go(now)
+            else:
+                self._dead_man.hold(wanted, held.at)
         shown = self._arms[self._driven]
         target, released = driver.drive.take()
         if released and driver.drive.stops_at_release:
@@ -257,6 +263,8 @@ class Playground:
         if self._arms:
             self._arms[self._driven].client.send_twist(np.zeros(6))
         self._driver, self._dragged_item = None, ''
+        if self._page is not None:
+            self._page.admit('')
         if self._visitors:
             self._visitors[0].gui.reset()
             self._make_driver(self._visitors[0])
@@ -269,35 +277,16 @@ class Playground:
             [arm.client.namespace.strip('/') for arm in self._arms],
             Granted(self.load, self._drive, self._compare, self._record, self._show))
         if self._options.drives:
+            if self._page is not None:
+                self._page.admit(driver.token)
             client.gui.add_html(
                 f'<span hidden data-playground-token="{driver.token}"></span>', order=0)
             driver.drive = DriveControls(
                 client, self._later, stops_at_release=self._options.stops_at_release,
-                hold=self._hold_sliders, stop=self._stop, pause=self._pause, reset=self._reset)
+                stop=self._stop, pause=self._pause, reset=self._reset)
             driver.items = ItemControls(
                 client, self._world, self._later, self._add, self._world.change)
         self._driver = driver
-
-    def _hold(self, held: Held) -> None:
-        """Take what a visitor holds; it counts if that is the driver."""
-        driver, now = self._driver, time.monotonic()
-        if driver is None or driver.drive is None or held.token != driver.token:
-            return
-        speeds = driver.drive.speeds
-        for what, is_held, twist in (
-                ('keys', bool(held.keys - {SLIDERS_KEY}), twist_of_keys(held.keys, speeds)),
-                ('sliders by key', SLIDERS_KEY in held.keys, driver.drive.sliders),
-                ('gamepad', bool(held.buttons),
-                 twist_of_gamepad(held.axes, held.buttons, speeds))):
-            if is_held:
-                self._dead_man.hold(what, twist, now)
-            else:
-                self._dead_man.let_go(what, now)
-
-    def _hold_sliders(self) -> None:
-        if self._driver is not None and self._driver.drive is not None:
-            self._dead_man.hold(
-                'sliders', self._driver.drive.sliders, time.monotonic())
 
     def _is_driver(self, client_id: int) -> bool:
         driver = self._driver

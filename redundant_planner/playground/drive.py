@@ -51,6 +51,37 @@ class Speeds:
                           min(max(self.angular, 0.0), FASTEST_ANGULAR)), 3)
 
 
+@dataclass(frozen=True)
+class Held:
+    """What the driver holds.
+
+    Attributes:
+        at: the driver held it at this moment or later, by the monotonic clock [s].
+        keys: a browser's names of them.
+        axes: of a gamepad, −1 to 1; empty without one.
+        buttons: of it, whether each is pressed.
+    """
+
+    at: float = -math.inf
+    keys: frozenset[str] = frozenset()
+    axes: tuple[float, ...] = ()
+    buttons: tuple[bool, ...] = ()
+
+
+def twist_of(held: Held, speeds: Speeds, sliders: Array) -> Array | None:
+    """Return the twist (6,) that all that is held asks for; None if nothing is held.
+
+    Args:
+        held: by the driver.
+        speeds: of keys and sticks.
+        sliders: (6,) twist that counts while its key is held.
+    """
+    if not held.keys and not held.buttons:
+        return None
+    wanted = twist_of_keys(held.keys, speeds) + twist_of_gamepad(held.axes, held.buttons, speeds)
+    return wanted + sliders if SLIDERS_KEY in held.keys else wanted
+
+
 def twist_of_keys(held: Collection[str], speeds: Speeds) -> Array:
     """Return the twist (6,) that held keys ask for, in the planner's command frame."""
     wanted = np.zeros(6)
@@ -83,18 +114,20 @@ def twist_of_gamepad(axes: Sequence[float], buttons: Sequence[bool], speeds: Spe
 
 
 class DeadMan:
-    """Adds up what is held, and stops when all has been let go of.
+    """Commands what is held, and stops when it has been let go of.
 
     Nothing is commanded while nobody drives: a target, or another sender, has the arm.
     """
 
     def __init__(self) -> None:
         """Begin with nothing held."""
-        self._held: dict[str, tuple[Array, float]] = {}
-        self._let_go = -math.inf
+        self._held: Array | None = None
+        self._at = self._let_go = -math.inf
 
-    def hold(self, what: str, twist: Array, now: float) -> None:
-        """Note that something is held, and what it asks for (6,); again within `SILENCE`.
+    def hold(self, twist: Array, at: float) -> None:
+        """Note that something was held at a moment, and what it asks for (6,).
+
+        It counts as held for `SILENCE` from then on.
 
         A twist that is not finite counts as zero, a fast one as the fastest.
         """
@@ -102,22 +135,21 @@ class DeadMan:
         sound = np.asarray(twist, dtype=float)
         if not np.isfinite(sound).all():
             sound = np.zeros(6)
-        self._held[what] = np.clip(sound, -fastest, fastest), now
+        self._held, self._at = np.clip(sound, -fastest, fastest), at
 
-    def let_go(self, what: str, now: float) -> None:
-        """Note that something is held no more."""
-        if self._held.pop(what, None) is not None and not self._held:
-            self._let_go = now
+    def let_go(self, now: float) -> None:
+        """Note that nothing is held any more."""
+        if self._held is not None:
+            self.stop(now)
 
     def stop(self, now: float) -> None:
         """Let go of all, and command zero for a while, also where nothing was held."""
-        self._held.clear()
-        self._let_go = now
+        self._held, self._let_go = None, now
 
     def twist(self, now: float) -> Array | None:
         """Return what to command (6,): zero for a while after all was let go, then nothing."""
-        for what in [w for w, (_, at) in self._held.items() if now - at > SILENCE]:
-            self.let_go(what, now)
-        if self._held:
-            return np.sum([twist for twist, _ in self._held.values()], axis=0)
+        if now - self._at > SILENCE:
+            self.let_go(now)
+        if self._held is not None:
+            return self._held
         return np.zeros(6) if now - self._let_go < FADING else None

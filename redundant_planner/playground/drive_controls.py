@@ -14,7 +14,7 @@ import viser
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.playground.arm_view import wxyz_of
-from redundant_planner.playground.drive import FASTEST_ANGULAR, FASTEST_LINEAR, Speeds
+from redundant_planner.playground.drive import FASTEST_ANGULAR, FASTEST_LINEAR, SLIDERS_KEY, Speeds
 from redundant_planner.playground.world import FAR
 
 Array = npt.NDArray[np.float64]
@@ -24,8 +24,10 @@ slower. A gamepad: hold a shoulder button. Or drag the handle at the tip. **Lett
 arm.**"""
 # Length of the arrows at the tip [m].
 HANDLE_SIZE = 0.22
-# How often a held button tells that it is held [Hz].
-_BEAT = 20.0
+# Stands for the key that has the arm follow the sliders; page.js minds it.
+_HOLD = f"""<button data-held="{SLIDERS_KEY}" style="width: calc(100% - 1.2em); margin: .3em .6em;
+padding: .6em; border: 0; border-radius: 4px; background: #228be6; color: white; font-size: .875em;
+touch-action: none; user-select: none; cursor: pointer">Hold to drive (or hold Space)</button>"""
 _AXES = ('vx [m/s]', 'vy [m/s]', 'vz [m/s]', 'wx [rad/s]', 'wy [rad/s]', 'wz [rad/s]')
 
 
@@ -39,7 +41,7 @@ class DriveControls:
 
     def __init__(
         self, client: viser.ClientHandle, later: Callable[..., None], *, stops_at_release: bool,
-        hold: Callable[[], object], stop: Callable[[], object], pause: Callable[[bool], object],
+        stop: Callable[[], object], pause: Callable[[bool], object],
         reset: Callable[[], object],
     ) -> None:
         """Put the controls on the driver's page.
@@ -48,7 +50,6 @@ class DriveControls:
             client: the driver.
             later: has a function called in the loop of the page, with its arguments.
             stops_at_release: whether letting go of the handle stops the arm, at first.
-            hold: called again and again while the sliders' twist is held.
             stop, pause, reset: called when the driver wants it.
         """
         gui: Any = client.gui  # where mypy takes values for read-only
@@ -69,13 +70,10 @@ class DriveControls:
                 self._axes = [
                     gui.add_slider(name, -fastest, fastest, 0.01, 0.0) for name, fastest in zip(
                         _AXES, (*(FASTEST_LINEAR,) * 3, *(FASTEST_ANGULAR,) * 3))]
-                holding = gui.add_button('Hold to drive (or hold Space)')
+                gui.add_html(_HOLD)
                 zeroing = gui.add_button('All to zero')
         self._handle = client.scene.add_transform_controls(
             '/handle', scale=HANDLE_SIZE, depth_test=False)
-
-        async def held(event: Any) -> None:
-            later(hold)
 
         async def zero(event: Any) -> None:
             for axis in self._axes:
@@ -94,7 +92,6 @@ class DriveControls:
         async def resets(event: Any) -> None:
             later(reset)
 
-        holding.on_hold(held, callback_hz=_BEAT)
         zeroing.on_click(zero)
         stopping.on_click(stopped)
         resetting.on_click(resets)

@@ -13,11 +13,14 @@ from redundant_planner.playground.drive import (
     FADING,
     FASTEST_ANGULAR,
     FASTEST_LINEAR,
+    Held,
     KEYS,
     SILENCE,
+    SLIDERS_KEY,
     SLOW_KEY,
     SLOWER,
     Speeds,
+    twist_of,
     twist_of_gamepad,
     twist_of_keys,
 )
@@ -58,28 +61,27 @@ def test_whatever_a_gamepad_says_the_twist_is_finite_and_slow(axes, buttons):
 
 
 @given(st.lists(st.tuples(
-    st.sampled_from(('hold', 'let_go', 'stop')), st.sampled_from('ab'),
-    st.lists(ANY, min_size=6, max_size=6), st.floats(0.0, 1.0)), max_size=20))
+    st.sampled_from(('hold', 'let_go', 'stop')), st.lists(ANY, min_size=6, max_size=6),
+    st.floats(0.0, 1.0), st.floats(0.0, 1.0)), max_size=20))
 def test_nothing_drives_longer_than_it_is_held(events):
-    dead_man, now, held = DeadMan(), 0.0, {}
-    for kind, what, twist, later in events:
+    dead_man, now, held_at = DeadMan(), 0.0, -math.inf
+    for kind, twist, later, age in events:
         now += later
-        if kind == 'hold':
-            dead_man.hold(what, np.array(twist), now)
-            held[what] = now
+        if kind == 'hold':  # a message that was under way for a while
+            held_at = now - age
+            dead_man.hold(np.array(twist), held_at)
         elif kind == 'let_go':
-            dead_man.let_go(what, now)
-            held.pop(what, None)
+            dead_man.let_go(now)
+            held_at = -math.inf
         else:
             dead_man.stop(now)
-            held.clear()
+            held_at = -math.inf
         command = dead_man.twist(now)
-        is_held = any(now - at <= SILENCE for at in held.values())
         if command is not None:
             assert np.isfinite(command).all()
-            assert np.abs(command[:3]).max() <= 2 * FASTEST_LINEAR
-            assert np.abs(command[3:]).max() <= 2 * FASTEST_ANGULAR
-        if not is_held:
+            assert np.abs(command[:3]).max() <= FASTEST_LINEAR
+            assert np.abs(command[3:]).max() <= FASTEST_ANGULAR
+        if now - held_at > SILENCE:
             assert command is None or not command.any()
     now += SILENCE + 1e-6
     command = dead_man.twist(now)
@@ -90,10 +92,20 @@ def test_nothing_drives_longer_than_it_is_held(events):
 def test_one_that_falls_silent_has_let_go():
     dead_man = DeadMan()
     assert dead_man.twist(0.0) is None
-    dead_man.hold('keys', np.full(6, 0.1), 1.0)
+    dead_man.hold(np.full(6, 0.1), 1.0)
     assert dead_man.twist(1.0 + SILENCE).all()
     assert not dead_man.twist(1.0 + SILENCE + 1e-6).any()
     assert dead_man.twist(1.0 + SILENCE + FADING + 0.01) is None
+
+
+def test_all_that_is_held_adds_up_and_the_sliders_count_while_their_key_is_held():
+    sliders, pad = np.linspace(-0.3, 0.3, 6), ((0.0, -1.0), (False,) * 5 + (True,))
+    assert twist_of(Held(), SPEEDS, sliders) is None
+    keys = twist_of(Held(0.0, frozenset({'KeyW'})), SPEEDS, sliders)
+    np.testing.assert_allclose(keys, twist_of_keys({'KeyW'}, SPEEDS))
+    np.testing.assert_allclose(
+        twist_of(Held(0.0, frozenset({'KeyW', SLIDERS_KEY}), *pad), SPEEDS, sliders),
+        keys + sliders + twist_of_gamepad(*pad, SPEEDS))
 
 
 @pytest.mark.parametrize('speeds', [Speeds(math.inf, 1e9), Speeds(-1.0, -1.0)])

@@ -228,6 +228,46 @@ def test_a_key_moves_the_arm_its_release_stops_it_and_so_does_a_closed_page(tmp_
 
 
 @IN_BROWSER
+def test_the_button_that_drives_by_sliders_is_held_like_its_key(tmp_path):
+    with playground(tmp_path) as (_, url), Chromium() as chromium:
+        page = chromium.open(url)
+        ready(page)
+        page.value("""(() => {
+            window.told = [];
+            const send = WebSocket.prototype.send;
+            WebSocket.prototype.send = function (message) {
+                if (typeof message === 'string') window.told.push(JSON.parse(message));
+                return send.call(this, message);
+            };
+        })()""")
+        # It is drawn once its folder has been opened.
+        page.value("""[...document.querySelectorAll('*')].findLast(
+            (one) => one.innerText?.trim() === 'A twist by sliders').click()""")
+        button = "document.querySelector('[data-held]')"
+        # It has come to rest where it can be pressed.
+        middle = f"""(() => {{
+            {button}.scrollIntoView({{block: 'center'}});
+            const {{x, y, width, height}} = {button}.getBoundingClientRect();
+            return [x + width / 2, y + height / 2];
+        }})()"""
+        page.wait_for(f"""{button} && (() => {{
+            const before = window.place;
+            window.place = {middle};
+            return `${{before}}` === `${{place}}`
+                && document.elementFromPoint(...place) === {button};
+        }})()""")
+        x, y = page.value(middle)
+        page.mouse('mouseMoved', x, y)
+        page.mouse('mousePressed', x, y, held=True)
+        page.wait_for(
+            'told.filter((one) => one.keys.includes("Space") && one.clock > 0).length > 5')
+        picture(page, 'hold_button')
+        page.mouse('mouseReleased', x, y)
+        page.wait_for('told.at(-1).keys.length === 0')
+        assert not page.errors
+
+
+@IN_BROWSER
 def test_an_obstacle_that_is_dragged_into_the_way_stops_the_arm(tmp_path):
     with playground(tmp_path) as (arm, url), Chromium() as chromium:
         page = chromium.open(url)
@@ -295,12 +335,12 @@ def test_a_page_that_sends_nonsense_and_many_clicks_at_once(tmp_path):
         token = page.value(f'{TOKEN}.dataset.playgroundToken')
         begin = arm.tip
         page.value(f"""new Promise((done) => {{
-            const socket = new WebSocket(`ws://${{location.host}}/held`);
+            const socket = new WebSocket(`ws://${{location.host}}/held?token={token}`);
             socket.onopen = () => {{
                 for (const pad of ['{{"axes": [NaN, 1e999], "buttons": [true]}}',
                                    '{{"axes": [1e300, -1e300], "buttons": [0,0,0,0,true]}}',
                                    '[]', '7', '{{"axes": {{}}}}'])
-                    socket.send(`{{"token": "{token}", "keys": [], "pad": ${{pad}}}}`);
+                    socket.send(`{{"clock": 1e9, "keys": [], "pad": ${{pad}}}}`);
                 socket.send('x'.repeat(100000));
                 setTimeout(done, 1000);
             }};
