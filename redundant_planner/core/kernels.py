@@ -161,7 +161,8 @@ def _keeping() -> Iterator[bool]:
     Numba tells by a function's own file whether its machine code is still good. Ours call each
     other across files, so the folder's name stands for all of them.
     """
-    before, folder = numba.config.CACHE_DIR, machine_code_folder(numba.config.CACHE_DIR)
+    before, folder = numba.config.CACHE_DIR, machine_code_folder(
+        numba.config.CACHE_DIR, '-checked' if numba.config.BOUNDSCHECK else '')
     numba.config.CACHE_DIR = str(folder or '')
     try:
         yield folder is not None
