@@ -20,7 +20,7 @@ def machine_code_folder(wish: str, how: str) -> Path | None:
 
     Args:
         wish: where NUMBA_CACHE_DIR wants it; empty for no wish.
-        how: it is compiled, see `how_compiled`: what is compiled otherwise lies elsewhere.
+        how: it is compiled, as the end of a name: what is compiled otherwise lies elsewhere.
     """
     here = Path(__file__).parent
     sources = b''.join(path.read_bytes() for path in sorted(here.rglob('*.py')))
