@@ -1,7 +1,7 @@
-"""A few functions of all kinds, compiled in a process of its own: `python few_compiled.py BREAK`.
+"""A few functions of all kinds, compiled in a process of its own that calls `main`.
 
-It prints, as JSON, what they compute, and whether they were compiled or came from the cache.
-BREAK is what is wrong with Numba, a function of this module.
+Its argument is what is wrong with Numba, a function of this module. It prints as JSON what the
+functions compute, whether they notice a write past the end, and whether they came from the cache.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 import numba
-from numba.core import base, bytecode
+from numba.core import base, bytecode, dispatcher
 from numba.np import arrayobj
 import numpy as np
 
@@ -25,16 +25,6 @@ def nothing() -> None:
 def newer() -> None:
     """Have a version that nobody has tried."""
     numba.__version__ = '99.1.0rc1'
-
-
-def older() -> None:
-    """Have a version that nobody tries any more."""
-    numba.__version__ = '0.58.1'
-
-
-def nameless() -> None:
-    """Have a version that is no number."""
-    numba.__version__ = 'unknown'
 
 
 def moved() -> None:
@@ -74,24 +64,27 @@ def ignored() -> None:
     bytecode.FunctionIdentity._unique_ids = counter
 
 
-def unremovable() -> None:
-    """Have functions stay where they were inserted."""
-    def refuse(context: object, function: object) -> None:
-        raise RuntimeError('functions stay')
+def demanding() -> None:
+    """Have another argument needed where functions are inserted; Numba itself gives it."""
+    before = base.BaseContext.insert_user_function
 
-    base.BaseContext.remove_user_function = refuse
+    def insert(context: object, function: object, description: object, libraries: object) -> None:
+        before(context, function, description, libraries)
+
+    base.BaseContext.insert_user_function = insert
 
 
+def uncached() -> None:
+    """Have the cache's folder set elsewhere, and no statistics of it."""
+    newer()
+    del numba.config.CACHE_DIR
+    del dispatcher.Dispatcher.stats
+
+
+# Before this package is imported.
 globals()[sys.argv[1]]()
 
-from redundant_planner.core.kernels import (  # noqa: E402
-    compiled,
-    entry,
-    kernel,
-    Matrix,
-    OutVector,
-    Vector,
-)
+from redundant_planner.core.kernels import compiled, entry, kernel, Matrix, OutVector, Vector  # noqa: E402  # noqa: E402
 from redundant_planner.core.machine_code.packed import Packed  # noqa: E402
 
 
@@ -145,6 +138,37 @@ def use(setup: Packed[Setup], pair: Pair, plain: Vector, out: OutVector) -> Both
     return Both(Pair(plain, plain), grid[:, 1], np.sqrt(2.0))
 
 
+@kernel
+def put_inlined(values: OutVector, at: int) -> None:
+    values[at] = 7.0
+
+
+@compiled
+def put_called(values: OutVector, at: int) -> None:
+    put_inlined(values, at)
+
+
+@entry
+def put_entered(packed: Packed[Pair], at: int) -> None:
+    packed.value.first[at] = 7.0
+
+
+def notices() -> list[bool]:
+    """Return whether a write past the end is an error: what lies behind it is there, too."""
+    whole, packed = np.zeros(4), Packed.of(Pair(np.zeros(3), np.zeros(3)))
+    found = []
+    for put, values, behind in ((put_called, whole[:3], whole[3:]),
+                                (put_entered, packed, packed.value.second)):
+        put(values, 2)
+        try:
+            put(values, 3)
+            found.append(False)
+        except IndexError:
+            found.append(True)
+        assert (behind[0] == 0.0) == found[-1]
+    return found
+
+
 def main() -> None:
     random = np.random.default_rng(0)
     answers = []
@@ -165,10 +189,7 @@ def main() -> None:
         use(Packed.of(pair), pair, plain, out)
     except TypeError as error:
         answers.append(str(error))
-    anew = swapped.stats.cache_misses.total()
+    stats = getattr(swapped, 'stats', None)
     print(json.dumps({'answers': [np.asarray(answer).tolist() for answer in answers],
-                      'compiled': anew}))
-
-
-if __name__ == '__main__':
-    main()
+                      'notices': notices(),
+                      'kept': stats is not None and not stats.cache_misses}))

@@ -17,18 +17,18 @@ LOWEST, HIGHEST = (0, 59), (0, 68)
 
 def chosen_means() -> Means:
     """Return the means, and say so in one line where they are not the usual ones."""
-    trouble = _untested(numba.__version__) or _failed()
+    trouble = untested(numba.__version__) or _failed()
     if trouble is None:
         from redundant_planner.core.machine_code.numba_internals import INTERNALS
         return INTERNALS
     print(f'redundant_planner: {trouble}; so functions are compiled plainly, and a tick takes '
-          f'about twice as long; tried are {_name(LOWEST)} to {_name(HIGHEST)}: '
+          f'about 1.6 times as long; tried are {_name(LOWEST)} to {_name(HIGHEST)}: '
           f"pip install 'numba>={_name(LOWEST)},<{_name((HIGHEST[0], HIGHEST[1] + 1))}'",
           file=sys.stderr, flush=True)
     return PLAIN
 
 
-def _untested(version: str) -> str | None:
+def untested(version: str) -> str | None:
     """Return a complaint about a version that CI has not run."""
     numbers = tuple(int(number) for number in re.findall(r'\d+', version)[:2])
     if LOWEST <= numbers <= HIGHEST:
