@@ -20,7 +20,7 @@ RUN apt-get update && \
     rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv --system-site-packages venv && touch venv/COLCON_IGNORE && \
     venv/bin/pip install --no-cache-dir \
-        'daqp>=0.5' 'numba>=0.59' 'rosbags>=0.10' 'plotly>=5.15' 'mujoco>=3.2'
+        'daqp>=0.5' 'numba>=0.59,<0.69' 'rosbags>=0.10' 'plotly>=5.15' 'mujoco>=3.2'
 
 COPY . src/redundant_planner
 RUN source /opt/ros/jazzy/setup.bash && venv/bin/python -m colcon build && \

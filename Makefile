@@ -6,8 +6,12 @@ VENV ?= .venv
 PIP_INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check
 # So that no node has to, the first time it starts.
 COMPILE = $(VENV)/bin/python -m redundant_planner.compile
+# Python with machine code that checks every index; it lies beside the other.
+CHECKED = NUMBA_BOUNDSCHECK=1 $(VENV)/bin/python
+BOUNDS = $(addprefix bounds-,target safety core fuzz paper worst)
+LOWEST = $(VENV)-lowest
 
-.PHONY: demo play test lint docs clean
+.PHONY: demo play test lint bounds lowest docs clean
 
 demo: $(VENV)/.demo-ready
 	$(VENV)/bin/demo --out demo_output
@@ -21,6 +25,36 @@ test: $(VENV)/.test-ready lint
 lint: $(VENV)/.test-ready
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+# Does compiled code stay within its arrays? Two jobs at a time, the longest first.
+bounds: $(VENV)/.test-ready
+	$(CHECKED) -m redundant_planner.compile
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=target $(BOUNDS)
+
+.PHONY: $(BOUNDS)
+bounds-target:
+	$(CHECKED) -m pytest -q test/core/target
+bounds-safety:
+	$(CHECKED) -m pytest -q test/core/robot test/core/safety
+# Those of test_kernels.py are about how machine code is kept, and of test_imports.py about files.
+bounds-core:
+	$(CHECKED) -m pytest -q test/core --ignore test/core/target --ignore test/core/robot \
+	    --ignore test/core/safety --ignore test/core/test_kernels.py \
+	    --ignore test/core/test_numba.py --ignore test/core/test_imports.py
+bounds-fuzz:
+	for kind in core clouds bytes; do \
+	    $(CHECKED) -m benchmark.fuzz --seed 1 --minutes 0.4 --what $$kind || exit 1; done
+bounds-paper:
+	$(CHECKED) -m pytest -q test/paper test/perception
+bounds-worst:
+	$(CHECKED) -m benchmark.worst_case --ticks 10000
+
+# The lowest Numba that setup.py takes, on the NumPy and SciPy of Ubuntu 24.04.
+lowest: $(LOWEST)/.ready
+	cd test/core && export NUMBA_CACHE_DIR=$(abspath $(LOWEST))/cache PYTHONPATH=$(CURDIR) && \
+	    $(abspath $(LOWEST))/bin/python -m redundant_planner.compile && \
+	    $(abspath $(LOWEST))/bin/python -m pytest -q test_numba.py test_planner.py \
+	        test_kernels.py -k 'not plainly and not kept and not anew and not two_processes'
 
 docs: $(VENV)/.docs-ready
 	$(VENV)/bin/python -m sphinx -W --keep-going -b html docs build/docs
@@ -47,9 +81,20 @@ $(VENV)/.test-ready: setup.py setup.cfg | $(VENV)/bin/python
 	$(COMPILE)
 	touch $@ $(VENV)/.demo-ready $(VENV)/.play-ready
 
+# pin asks for a newer NumPy than Ubuntu's, and does without.
+$(LOWEST)/.ready: .ci/lowest.txt
+	$(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --upgrade pip
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check \
+	    'pin>=3' 'daqp>=0.5' 'PyYAML>=6' setuptools \
+	    example-robot-data hypothesis pytest pytest-rerunfailures
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps \
+	    --requirement .ci/lowest.txt
+	touch $@
+
 $(VENV)/.docs-ready: setup.py setup.cfg | $(VENV)/bin/python
 	$(PIP_INSTALL) --editable '.[docs]'
 	touch $@
 
 clean:
-	rm -rf $(VENV) demo_output build install log *.egg-info
+	rm -rf $(VENV) $(LOWEST) demo_output build install log *.egg-info

@@ -14,6 +14,8 @@ HOME = f'https://example.com/{PACKAGE}'
 README = re.sub(r'\]\((?!https?:|#)', f']({HOME}/blob/main/',
                 (Path(__file__).resolve().parent / 'README.md').read_text(encoding='utf-8'))
 
+# CI runs both ends of the range: `make lowest`, and the newest in all else.
+NUMBA = 'numba>=0.59,<0.69'
 # The real ROS 2 Jazzy as wheels; with ROS sourced, apt has them already.
 JAZZY = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 ANALYSIS = ['rosbags>=0.10', 'matplotlib>=3.6', 'plotly>=5.15', 'rich>=13']
@@ -50,8 +52,8 @@ setup(
     ],
     python_requires='>=3.10',
     # pin is Pinocchio on PyPI; apt's ros-jazzy-pinocchio provides the same module.
-    install_requires=['setuptools', 'numpy>=1.26', 'numba>=0.59', 'scipy>=1.8', 'pin>=3',
-                      'daqp>=0.5', 'PyYAML>=6'],
+    install_requires=['setuptools', 'numpy>=1.26', NUMBA, 'scipy>=1.8', 'pin>=3', 'daqp>=0.5',
+                      'PyYAML>=6'],
     extras_require={'jazzy': JAZZY, 'analysis': ANALYSIS, 'benchmark': BENCHMARK, 'test': TEST,
                     'browser': BROWSER, 'docs': DOCS, 'mujoco': MUJOCO,
                     'viewer': VIEWER},

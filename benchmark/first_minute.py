@@ -160,7 +160,7 @@ def first_minute(urdf: Path, joints: int, domain: int, *, fresh: bool = True) ->
     with tempfile.TemporaryDirectory() as folder:
         environment = dict(os.environ, ROS_DOMAIN_ID=str(domain))
         if fresh:
-            code = machine_code_folder(os.environ.get('NUMBA_CACHE_DIR', ''))
+            code = machine_code_folder(os.environ.get('NUMBA_CACHE_DIR', ''), '')
             environment |= {'XDG_CACHE_HOME': str(Path(folder) / 'cache')} | (
                 {} if code is None else {'NUMBA_CACHE_DIR': str(code.parent)})
         log = Path(folder) / 'log'

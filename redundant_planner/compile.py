@@ -10,10 +10,8 @@ process.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 from importlib import import_module
-import io
 import multiprocessing
 from multiprocessing import connection
 from multiprocessing.synchronize import Barrier
@@ -41,9 +39,12 @@ def main() -> int:
     print('compiling the mathematics of redundant_planner', flush=True)
     # A fifth less work than the highest level, and the ticks are as fast.
     os.environ.setdefault('NUMBA_OPT', '2')
-    # The children inherit the libraries, which take seconds to load.
+    # The children inherit the libraries, which take seconds to load, and by which means they
+    # compile.
     for library in ('daqp', 'numba', 'pinocchio', 'scipy.spatial'):
         import_module(library)
+    import_module('redundant_planner.core.machine_code.compiling').told.append(True)
+    import_module('redundant_planner.core.kernels')
     forked = multiprocessing.get_context('fork')
     both_done = forked.Barrier(2)
     working = [forked.Process(target=_compile, args=(lanes, both_done)) for lanes in zip(*STEPS)]
@@ -61,14 +62,13 @@ def main() -> int:
 
 
 def _compile(lanes: tuple[tuple[str, ...], ...], both_done: Barrier) -> None:
-    """Compile one lane of each step; `main` has already said that it takes a while."""
+    """Compile one lane of each step."""
     # Numba makes millions of objects that live on: looking through them takes a tenth of the time.
     gc.disable()
-    with contextlib.redirect_stderr(io.StringIO()):
-        for lane in lanes:
-            for module in lane:
-                import_module(f'redundant_planner.{module}')
-            both_done.wait()
+    for lane in lanes:
+        for module in lane:
+            import_module(f'redundant_planner.{module}')
+        both_done.wait()
 
 
 if __name__ == '__main__':

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from email import message_from_string
 from email.message import Message
+from importlib.metadata import version
 from pathlib import Path
 import re
 import shutil
@@ -18,6 +19,7 @@ from markdown_it import MarkdownIt
 import pytest
 
 import redundant_planner
+from redundant_planner.core.machine_code import choice
 
 TOP = Path(__file__).resolve().parent.parent
 VERSION = redundant_planner.__version__
@@ -105,6 +107,23 @@ def test_the_readme_renders_without_the_repository(metadata):
 def test_the_changelog_is_valid_rst():
     assert not list(publish_doctree(CHANGELOG).findall(
         lambda node: node.tagname == 'system_message'))
+
+
+def test_one_range_of_numba_is_named_everywhere_and_tried_by_ci(sdist, manifest):
+    lowest, highest = (f'{major}.{minor}' for major, minor in (choice.LOWEST, choice.HIGHEST))
+    beyond = f'{choice.HIGHEST[0]}.{choice.HIGHEST[1] + 1}'
+    wanted = f'numba>={lowest},<{beyond}'
+    (entry,) = (e for e in manifest.findall('exec_depend') if e.text == 'python3-numba')
+    assert entry.attrib == {'version_gte': lowest, 'version_lt': beyond}
+    for file in ('README.md', 'Dockerfile'):
+        assert f"'{wanted}'" in (TOP / file).read_text(encoding='utf-8'), file
+    required = re.search(r'^numba(.*)$', sdist['redundant_planner.egg-info/requires.txt'].decode(),
+                         flags=re.M)
+    assert set(required.group(1).split(',')) == {f'>={lowest}', f'<{beyond}'}
+    tried = (TOP / '.ci' / 'lowest.txt').read_text(encoding='utf-8')
+    assert re.search(rf'^numba=={re.escape(lowest)}\.\d+;', tried, flags=re.M)
+    # CI's other environments have the newest that pip finds in the range.
+    assert version('numba').startswith((f'{lowest}.', f'{highest}.'))
 
 
 def test_rosdep_skips_what_the_virtual_environment_brings(manifest):

@@ -15,19 +15,21 @@ from redundant_planner.core.cache_folder import cache_folder
 
 
 @functools.cache
-def machine_code_folder(wish: str) -> Path | None:
+def machine_code_folder(wish: str, how: str) -> Path | None:
     """Return this version's folder, with nothing in it that is damaged; None if there is none.
 
     Args:
         wish: where NUMBA_CACHE_DIR wants it; empty for no wish.
+        how: it is compiled, as the end of a name: what is compiled otherwise lies elsewhere.
     """
     here = Path(__file__).parent
     sources = b''.join(path.read_bytes() for path in sorted(here.rglob('*.py')))
-    name = f'compiled-{zlib.crc32(sources):08x}'
+    version = f'compiled-{zlib.crc32(sources):08x}'
+    name = version + how
     beside = here / '__pycache__'
     # Nobody else keeps anything here: what is left is of other versions.
     for other in beside.glob('compiled-*'):
-        if other.name != name:
+        if not other.name.startswith(version):
             shutil.rmtree(other, ignore_errors=True)
     wished = [Path(wish)] if wish else []
     for parent in (*wished, beside, cache_folder()):

@@ -19,7 +19,7 @@ and this is what Python calls:
         (found_motions, found_factor) = inner(*start, setup.numbers, setup.integers)
         return new(Wish, (found_motions, found_factor,))
 
-`borrowed_arrays` says what borrowed and owned arrays are.
+`numba_internals` says what borrowed and owned arrays are.
 """
 
 from __future__ import annotations
@@ -44,11 +44,8 @@ from redundant_planner.core.machine_code.argument_types import (
     SCALARS,
     tuple_type,
 )
-from redundant_planner.core.machine_code.borrowed_arrays import borrowed, borrowed_part, owned
 from redundant_planner.core.machine_code.packed import layout_of
 
-# What rewritten sources call.
-_OWNERSHIP = {'borrowed': borrowed, 'borrowed_part': borrowed_part, 'owned': owned}
 _PACKED = 'Packed['
 
 
@@ -175,11 +172,16 @@ def _made(name: str, record: Any, pattern: str) -> str:
     return pattern.format(name=record.__name__, fields=fields)
 
 
-def taking_parts(function: Any, arguments: list[Crossing]) -> Any:
+def taking_parts(function: Any, arguments: list[Crossing], ownership: dict[str, Any]) -> Any:
     """Return a function that takes its arguments, and returns a NamedTuple's fields, one by one.
 
     Its source gets the lines `arm = borrowed(Kinematics(arm_q, ...))` that would otherwise stand
     in every such function.
+
+    Args:
+        function: an `entry`.
+        arguments: how they cross over.
+        ownership: of `Means`.
     """
     result = _result(function)
     leaves = ''.join(f'{value}, ' for _, value in _leaves('returned', result))
@@ -187,7 +189,8 @@ def taking_parts(function: Any, arguments: list[Crossing]) -> Any:
     return _rewritten(
         function, list(itertools.chain(*(argument.parts for argument in arguments))),
         list(itertools.chain(*(argument.lines for argument in arguments))), f'return {returned}',
-        functools.reduce(lambda found, argument: found | argument.classes, arguments, {}))
+        functools.reduce(lambda found, argument: found | argument.classes, arguments, {}),
+        ownership)
 
 
 def handing_over(function: Any, arguments: list[Crossing], inner: Any) -> Any:
@@ -209,10 +212,14 @@ def _result(function: Any) -> Any:
     return record_of(str(function.__annotations__.get('return')), function.__globals__)
 
 
-def borrowing(function: Any) -> Any:
-    """Return a function that borrows its arguments, see `borrowed_arrays`.
+def borrowing(function: Any, ownership: dict[str, Any]) -> Any:
+    """Return a function that borrows its arguments, see `numba_internals`.
 
     One within another function is left as it is: made anew, it would lose what it closes over.
+
+    Args:
+        function: a `compiled` one.
+        ownership: of `Means`.
     """
     if LOCAL in function.__qualname__:
         return function
@@ -220,11 +227,12 @@ def borrowing(function: Any) -> Any:
     return _rewritten(
         function, names, [f'{name} = borrowed({name})' for name in names
                           if function.__annotations__[name] not in SCALARS],
-        'return returned', {})
+        'return returned', {}, ownership)
 
 
 def _rewritten(
     function: Any, arguments: list[str], lines: list[str], answer: str, names: dict[str, Any],
+    ownership: dict[str, Any],
 ) -> Any:
     """Return a function with other arguments, more lines at its beginning, and another answer.
 
@@ -236,6 +244,7 @@ def _rewritten(
         lines: what it is to do first.
         answer: a return statement, of what is in `returned`.
         names: that the lines use.
+        ownership: of `Means`: that the lines and the answer use.
     """
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     definition = tree.body[0]
@@ -251,7 +260,7 @@ def _rewritten(
     scope: dict[str, Any] = {}
     code = compile(tree, function.__code__.co_filename, 'exec', dont_inherit=True,
                    flags=__future__.annotations.compiler_flag)
-    exec(code, {**names, **function.__globals__, **_OWNERSHIP}, scope)
+    exec(code, {**names, **function.__globals__, **ownership}, scope)
     return scope[function.__name__]
 
 

@@ -272,7 +272,8 @@ class Robot:
             StateError: the length is wrong, or an entry is not finite or absurdly large.
         """
         posture = np.array(q, dtype=float)
-        if posture.shape == (self.n,) and posture.dot(posture) <= _FARTHEST * _FARTHEST:
+        if posture.shape == (self.n,) and (
+                sum(map(abs, posture.tolist())) <= _FARTHEST):  # NaN is not
             return posture
         if posture.shape != (self.n,):
             raise StateError(

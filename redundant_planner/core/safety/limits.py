@@ -75,8 +75,8 @@ def velocity_bounds(
     are always a little old: an arm found further on than it could be may brake in proportion,
     which keeps its path, as long as that leads no further than half the margin. A joint that
     brakes as hard as it may can use half of what is left of the margin. Where the others ask for
-    more than the acceleration limit gives, as after a margin has grown, a joint brakes as hard as
-    it may: no drive does more.
+    more than the acceleration limit gives, as after the margin has grown, a joint brakes as hard
+    as it may, into the margin if it has to.
 
     Args:
         q: (n,) positions.
@@ -109,9 +109,11 @@ def velocity_bounds(
         lower = previous[i] - limits.acceleration_max[i] * dt
         upper = previous[i] + limits.acceleration_max[i] * dt
         if lower > fastest + TOLERANCE:
-            kept, fastest = False, lower
+            room = limits.positions[0, i] + limits.margin - q[i]
+            kept, fastest = False, max(fastest, min(lower, room / dt))
         if upper < slowest - TOLERANCE:
-            kept, slowest = False, upper
+            room = q[i] - limits.positions[1, i] + limits.margin
+            kept, slowest = False, min(slowest, max(upper, -room / dt))
         bounds[0, i] = max(min(lower, fastest), slowest)
         bounds[1, i] = min(max(upper, slowest), fastest)
     return bounds[0], bounds[1], kept

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conftest import EXAMPLE_ROBOTS, make_panda, make_paper_arm, make_planar
+from conftest import EXAMPLE_ROBOTS, make_panda, make_paper_arm, make_planar, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -117,7 +117,7 @@ def test_a_fading_mean_is_exact_at_any_sequence_of_ticks(seed, delay):
 def test_a_window_takes_over_again_once_ticks_are_alike():
     robot = ARMS['panda']
     limits = Planner(robot, PlannerParameters())._limits
-    smoothing, q, dq = Smoothing(robot.n, 0.02), np.zeros(robot.n), np.zeros(robot.n)
+    smoothing, q = Smoothing(robot.n, 0.02), np.array(PANDA_READY)
     kinds = []
     for i, dt in enumerate([DT] * 20 + [0.003] + [DT] * 20):
         smoothing.begin(q, limits, dt, at_once=False)

@@ -1,19 +1,32 @@
-"""Arrays that machine code borrows from whoever calls it: no references to them are counted.
+"""All that this package uses of Numba's insides, in one place: they change without notice.
 
+`trial` tries it once in each process; `plain_numba` does without.
+
+Borrowed arrays: machine code borrows them from whoever calls it, and counts no references to them.
 Numba counts references to every array, and a NamedTuple of ten that is handed on counts ten. In
 a tick that took longer than its arithmetic. Arguments need no counting: whoever called holds them
 until the call returns. Only what is returned must not be borrowed.
+
+Names: each function's machine code bears the same one in all processes, so that compiled functions
+call each other by name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+import itertools
 from typing import Any, TypeVar
+import zlib
 
 from numba import types
 from numba.core import cgutils
+from numba.core.bytecode import FunctionIdentity
 from numba.extending import intrinsic, overload
 from numba.np.arrayobj import populate_array
+
+from redundant_planner.core.machine_code.argument_types import LOCAL
+from redundant_planner.core.machine_code.means import entrywise, Means
 
 _Value = TypeVar('_Value')
 
@@ -76,27 +89,60 @@ def borrowed_part(
 def _borrowed(value: types.Type) -> Any:
     if isinstance(value, types.Array):
         return lambda value: _without_owner(value)
-    return _each(borrowed, value)
+    return entrywise(borrowed, value)
 
 
 @overload(owned, strict=False)  # type: ignore[untyped-decorator]
 def _owned(value: types.Type) -> Any:
     if isinstance(value, types.Array):
         return lambda value: value if _has_owner(value) else value.copy()
-    return _each(owned, value)
+    return entrywise(owned, value)
 
 
-def _each(change: Callable[[Any], Any], value: types.Type) -> Any:
-    """Return a function that changes the entries of a tuple, and returns all else as it is."""
-    if not isinstance(value, types.BaseTuple) or not _holds_arrays(value):
-        return lambda value: value
-    named = isinstance(value, types.BaseNamedTuple)
-    entries = ''.join(f'change(value[{i}]), ' for i in range(len(value)))
-    scope: dict[str, Any] = {'change': change, 'made': value.instance_class if named else None}
-    exec(f'def changed(value): return {"made" if named else ""}({entries})', scope)
-    return scope['changed']
+@contextmanager
+def named_alike_everywhere(function: Callable[..., object]) -> Iterator[None]:
+    """Have a function's machine code bear the same name in all processes that compile it.
+
+    Numba's names end in a number that counts up: what is compiled here would not find what
+    another process compiled and kept. Functions within functions keep such numbers: those of one
+    name need not be the same.
+    """
+    if LOCAL in function.__qualname__:
+        yield
+        return
+    before = FunctionIdentity._unique_ids
+    FunctionIdentity._unique_ids = itertools.count(_first_number(function))
+    try:
+        yield
+    finally:
+        FunctionIdentity._unique_ids = before
 
 
-def _holds_arrays(value: types.BaseTuple) -> bool:
-    return any(isinstance(entry, types.Array) or (
-        isinstance(entry, types.BaseTuple) and _holds_arrays(entry)) for entry in value)
+def named_alike(dispatcher: Any) -> bool:
+    """Return whether what was compiled bears the name that `named_alike_everywhere` wants."""
+    (version,) = dispatcher.overloads.values()
+    return version.fndesc.uid == _first_number(dispatcher.py_func)
+
+
+def _first_number(function: Callable[..., object]) -> int:
+    return zlib.crc32(f'{function.__module__}.{function.__qualname__}'.encode()) << 16
+
+
+def share(dispatcher: Any) -> None:
+    """Have compiled functions call this one by its name.
+
+    Numba would compile it again into each of them, and with it all that it calls: a quarter more
+    work, for ticks that are no faster.
+    """
+    for version in dispatcher.overloads.values():
+        context, function = version.target_context, version.entry_point
+        context.remove_user_function(function)
+        context.insert_user_function(function, version.fndesc)
+
+
+_NO_CFUNC = {'no_cfunc_wrapper': True}
+INTERNALS = Means(
+    folder='', called=_NO_CFUNC,
+    inlined={**_NO_CFUNC, 'no_cpython_wrapper': True, 'forceinline': True},
+    ownership={'borrowed': borrowed, 'borrowed_part': borrowed_part, 'owned': owned},
+    naming=named_alike_everywhere, share=share)
