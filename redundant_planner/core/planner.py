@@ -314,8 +314,7 @@ class Planner:
             wanted = aim.aside.velocity
         result, share, slower = Filtered.untouched(wanted), 1.0, ''
         if self._filtered and not leaves:
-            share, slower = self._slow_down.share(
-                wanted, scene, arm, start.previous, dt * self._limits.acceleration_max)
+            share, slower = self._slow_down.share(wanted, scene, arm)
         if self._filtered and (
                 joints is not None or leaves or share < 1.0 or not desired.admissible):
             barriers = barriers_in(self._setup.value.memory.rows, desired.rows_used)

@@ -23,9 +23,6 @@ from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
 
-# A joint slower than this does not matter for how hard the arm brakes [rad/s, m/s].
-_SLOW = 1e-9
-
 
 class Separation(NamedTuple):
     """What may not be near to a fast arm.
@@ -95,20 +92,17 @@ class SlowDown:
         self._radii = [capsule.radius for capsule in robot.capsules]
         self._known: tuple[Scene, list[tuple[Separation, Scene, InflatedObstacles]]] | None = None
 
-    def share(
-        self, wanted: Array, scene: Scene, arm: Kinematics, previous: Array, change: Array,
-    ) -> tuple[float, str]:
-        """Return the share of a motion that is not too fast, as far as the drives can brake.
+    def share(self, wanted: Array, scene: Scene, arm: Kinematics) -> tuple[float, str]:
+        """Return the share of a motion that is not too fast.
 
         All joints slow down alike, and the path is kept. The share is taken before the safety
-        filter acts: what that adds to keep a clearance is not slowed down.
+        filter acts: that brakes as the drives can, and what it adds to keep a clearance is not
+        slowed down.
 
         Args:
             wanted: (n,) velocities.
             scene: the obstacles.
             arm: the posture.
-            previous: (n,) velocities of the last tick.
-            change: (n,) by how much they can change in a tick.
 
         Returns:
             The share, and a phrase about what slows the arm down; empty where nothing does.
@@ -119,9 +113,7 @@ class SlowDown:
         speed = self._fastest(arm, wanted)
         if speed <= limit.speed:
             return 1.0, ''
-        moving = np.abs(wanted) > _SLOW
-        least = (previous - np.sign(wanted) * change)[moving] / wanted[moving]
-        return min(max(limit.speed / speed, float(least.max(initial=0.0))), 1.0), str(limit)
+        return limit.speed / speed, str(limit)
 
     def _limit(self, scene: Scene, arm: Kinematics) -> _Limit:
         slowest = _NONE
