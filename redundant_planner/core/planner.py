@@ -65,6 +65,8 @@ _BACK = 'the arm comes back to its path'
 _JERK_GIVES_WAY = 'jerk gives way to a clearance'
 # Stages that keep every clearance with the path kept: they may be those of a slower arm.
 _SLOWER_STAGES = (Stage.SCALED, Stage.SLIDING, Stage.BRAKING)
+# Fastest joint of an arm that moves gently [rad/s, m/s].
+_GENTLE = 0.05
 # How fast the reference pose catches up with a tip that evades along the path [1/s].
 _CATCHING_UP = 5.0
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
@@ -114,9 +116,10 @@ class _Aim(NamedTuple):
 
 
 def _check_tick(dt: float) -> None:
-    if not _SHORTEST_TICK <= dt <= _LONGEST_TICK:
-        raise StateError(
-            f'dt is {dt}; it must be {_SHORTEST_TICK:g} to {_LONGEST_TICK:g} s')
+    if not dt >= _SHORTEST_TICK:
+        raise StateError(f'dt is {dt}; it must be {_SHORTEST_TICK:g} s or longer')
+    if dt > _LONGEST_TICK:
+        raise StateError(f'dt is {dt}; it must be {_LONGEST_TICK:g} s or shorter')
 
 
 class Planner:
@@ -241,6 +244,11 @@ class Planner:
         return self._last.reference
 
     @property
+    def posture_ahead(self) -> Array:
+        """Where the arm will be by its commands at the end of the latest (n,) [rad, m]."""
+        return self._observer.ahead
+
+    @property
     def guided(self) -> float:
         """Share of the null-space motion that follows the joint path ahead."""
         return self._look_ahead.guided
@@ -260,7 +268,8 @@ class Planner:
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float,
-        ahead: Preview | TwistAhead | None = None, target: Target | None = None,
+        ahead: Preview | TwistAhead | None = None, target: Target | None = None, *,
+        gently: bool = False,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`.
 
@@ -278,6 +287,8 @@ class Planner:
             target: where to go, as fast as the limits allow: a pose of the tip, or joint positions
                 (n,) [rad, m]; None to follow the twist. With a target, `twist` and `ahead` do not
                 count.
+            gently: whether the arm is only to show that it follows: no joint is asked to be
+                faster than 0.05 rad/s or m/s.
 
         Raises:
             StateError: `q`, `twist`, `ahead` or `target` does not fit, or `dt` is not within
@@ -315,6 +326,8 @@ class Planner:
         result, share, slower = Filtered.untouched(wanted), 1.0, ''
         if self._filtered and not leaves:
             share, slower = self._slow_down.share(wanted, scene, arm)
+            if gently:
+                share = min(share, _GENTLE / max(float(np.abs(wanted).max()), _GENTLE))
         if self._filtered and (
                 joints is not None or leaves or share < 1.0 or not desired.admissible):
             barriers = barriers_in(self._setup.value.memory.rows, desired.rows_used)

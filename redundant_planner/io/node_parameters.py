@@ -36,6 +36,12 @@ class PlannerNodeParameters:
         0.1, low=0.005, high=10.0, unit='s', runtime=True,
         description='Without joint_states for this long the arm is stopped and nothing is '
                     'published until they are back.')
+    follow_tolerance: float = parameter(
+        0.02, low=0.0, high=1.0, unit='rad, m', runtime=True, group='follow',
+        description='How far a joint may stay behind its commands, besides what it was told to '
+                    'travel within 0.3 s. An arm that stays further behind, as its controller is '
+                    'not active, is stopped, and moves again with the next fresh command. 0 turns '
+                    'this off. Smaller, and a load or play in the gears stops the arm.')
     enable_stamped_cmd_vel: bool = parameter(
         False, description='cmd_vel is TwistStamped instead of Twist: it says its frame (base or '
                            'tip) and when it was meant.')

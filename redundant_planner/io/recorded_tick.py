@@ -39,6 +39,7 @@ class TickKind(IntEnum):
     BRAKING = 0  # without the planner
     GOING_ON = 1
     STARTING = 2  # from rest, the planner reset
+    TRYING = 3  # gently, after the arm did not follow
 
 
 class RecordedTick(NamedTuple):

@@ -10,11 +10,13 @@ import time
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.constants import limits_of
 from redundant_planner.core.errors import ObstacleError, StateError
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety.following import Following
 from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.core.target.goal import Target
@@ -33,15 +35,17 @@ from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.second_process import ACKNOWLEDGED, PAUSE, STOPS
 from redundant_planner.nodes.state_report import LoopState
-from redundant_planner.nodes.supervisor import Decision, Supervisor
+from redundant_planner.nodes.supervisor import Decision, FRESH_AFTER, MOVED_BY_OTHERS, Supervisor
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
 Array = npt.NDArray[np.float64]
 
 _NO_TWIST = np.zeros(6)
-# A measured posture that jumps by more than this beyond what the arm can travel, or is so far from
-# the commanded one, starts everything again from the measured posture [rad, m].
+# A measured posture that jumps by more than this beyond what the arm can travel starts everything
+# again from there [rad, m].
 _JUMP = 0.1
+# An arm that does not follow is told to stay where it is, to within this [rad, m].
+_THERE = 1e-3
 
 
 class ControlLoop:
@@ -98,8 +102,9 @@ class ControlLoop:
         self._last_word, self._guard, self._warn = last_word, guard, warn
         self._publish_tick = publish_tick
         self._joints = JointReader(robot.joint_names)
-        self._position_command = PositionCommand(
-            robot.position_min, robot.position_max, _JUMP)
+        self._position_command = PositionCommand(limits_of(robot, planner.parameters))
+        self._following = Following(robot.joint_names, self._period, settings.follow_tolerance)
+        self._wished_at = -np.inf  # when somebody commanded the arm last
         self._stop = SmoothStop(robot.acceleration_max, robot.jerk_max, self._period)
         self._last_command: Array | None = None  # velocities; None while the arm rests
         self._is_sent = False  # whether this tick's command is out
@@ -211,6 +216,7 @@ class ControlLoop:
         """Do what the supervisor decides; return that."""
         if self.supervisor.recovery_due(self.at_rest):
             self._recover()
+        self._see_whether_it_follows()
         decision = self.supervisor.decide(
             self.now, self.at_rest, self.settings.joint_state_timeout)
         if decision.time_jumped:
@@ -234,6 +240,7 @@ class ControlLoop:
         """Forget all about the motion: any part of it may have led to the failure."""
         self.planner = planner_of(self.planner.robot, self.planner.parameters)
         self._position_command.reset()
+        self.supervisor.follows()
         self.command.forget()
         self.command.forget_preview()
         self.state.result = None
@@ -246,7 +253,8 @@ class ControlLoop:
         dq = self._stop.next()
         self._send(dq, TickKind.BRAKING)
         self.planner.braked(dq, self._period)
-        if not dq.any():
+        if not dq.any() and (not self.supervisor.astray or self._position_command.is_near(
+                self._posture(), _THERE)):
             self._last_command = None
             self.command.forget()
 
@@ -256,7 +264,8 @@ class ControlLoop:
         if self.at_rest:
             kind = TickKind.STARTING
             self.planner.reset()
-            self._position_command.reset()
+            self._following.begin(posture, sum(_drive_of(self.planner)))
+            self._position_command.start(posture, self._lead)
         twist, ahead, target = _NO_TWIST, None, None
         if ignore_command:
             self._forget_target(ignore_command)
@@ -266,9 +275,14 @@ class ControlLoop:
             twist = self._in_command_frame(self.command.twist(timeout), posture)
             ahead = self.command.ahead(timeout)
         self.state.trouble = ignore_command
+        gently = {'gently': True} if self.supervisor.tries and isinstance(
+            self.planner, Planner) else {}
+        if gently and kind is TickKind.GOING_ON:
+            kind = TickKind.TRYING
         self.obstacles.tracker.expire(self.now)
         result = self.planner.step(
-            posture, twist, self.obstacles.scene, self._period, ahead, target)
+            posture, twist, self.obstacles.scene, self._period, ahead, target,
+            **(gently if kind is TickKind.TRYING else {}))
         if not np.isfinite(result.dq).all():
             raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
         self._send(result.dq, kind, twist, ahead, target)
@@ -280,6 +294,52 @@ class ControlLoop:
             self._warn(result.reason)
         self.state.result = result
         self.state.jerk_given_up += not result.jerk_kept
+
+    def _see_whether_it_follows(self) -> None:
+        """Compare what was commanded with what was measured, and see who moves the arm."""
+        supervisor, following = self.supervisor, self._following
+        timeout = self.settings.incoming_command_timeout
+        wishes = self.command.has_target or bool(self.command.twist(timeout).any())
+        supervisor.heard_a_wish(wishes, self.now, self.at_rest)
+        self._wished_at = self.now if wishes else self._wished_at
+        self.state.astray = supervisor.astray
+        if self._last_command is None:
+            return
+        following.tolerance = self.settings.follow_tolerance
+        reason = following.tick(self._last_command, self._posture(), tries=supervisor.tries)
+        if reason and (supervisor.tries or not supervisor.astray):
+            supervisor.does_not_follow(reason)
+        elif supervisor.tries and following.has_followed:
+            supervisor.follows()
+        if self.now - self._wished_at < FRESH_AFTER:
+            following.rest()
+        elif following.tolerance > 0.0 and following.moved_by_others > MOVED_BY_OTHERS:
+            following.rest()
+            supervisor.moved_by_others()
+        self.state.astray = supervisor.astray
+
+    @property
+    def _lead(self) -> float:
+        """How far commanded positions may be ahead of a standing arm [rad, m]."""
+        return self.settings.follow_tolerance or _JUMP
+
+    def _where_it_may_be(self, dq: Array, kind: TickKind) -> tuple[Array | None, Array | None]:
+        """Return the posture (n,) that commanded positions keep to, and how near (n,) [rad, m].
+
+        An arm that does not follow is where it is measured. Otherwise positions may be ahead of
+        the planned posture by what the drives explain, as long as no link gets nearer to an
+        obstacle than it is.
+        """
+        if self.supervisor.astray and not self.supervisor.tries:
+            return self._posture(), None
+        if kind is TickKind.BRAKING or not isinstance(self.planner, Planner):
+            return None, None
+        lead = self._lead + self._following.travel
+        nearest = self.state.result.nearest if self.state.result is not None else None
+        if nearest is not None:
+            reach = float((self.planner.robot.lever_arm_bounds @ lead).max())
+            lead = lead * min(1.0, max(nearest.distance, 0.0) / max(reach, _THERE))
+        return self.planner.posture_ahead, lead
 
     def _posture(self) -> Array:
         posture = self.supervisor.posture
@@ -310,7 +370,7 @@ class ControlLoop:
         """Publish a command (n,) at its moment, and the inputs that led to it."""
         posture = self._posture()
         positions = self._position_command.advance(
-            posture, dq, self._period, known=kind is not TickKind.BRAKING)
+            dq, self._period, *self._where_it_may_be(dq, kind))
         self.pacer.wait()
         stamp_ns = self.clock.stamp_ns()
         self._last_word.note(stamp_ns, positions, dq)
@@ -361,3 +421,8 @@ class ControlLoop:
         if isinstance(self.planner, Planner):
             for contact in self.planner.contacts(posture, self.obstacles.scene):
                 self._warn(str(contact))
+
+
+def _drive_of(planner: Planner | PaperPlanner) -> tuple[float, float]:
+    """Return lag and dead time of the drives, as far as they are known [s]."""
+    return planner.parameters.drive_lag, planner.parameters.drive_dead_time

@@ -10,6 +10,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.target.goal import Target
 from redundant_planner.io.software_version import with_version
 from redundant_planner.nodes.body_writer import BodyWriter
 from redundant_planner.nodes.control_loop import ControlLoop
@@ -44,7 +45,7 @@ class Reports:
         self._target = node.create_publisher(DiagnosticArray, '~/target', latched)
         self._body = node.create_publisher(MarkerArray, '~/body', 1)
         self._body_writer = self._body_of(self._robot)
-        self._had_target = False
+        self._known_target: Target | None = None
 
     def publish_configuration(self) -> None:
         """Publish all parameters if they have changed, so that a bag explains itself."""
@@ -71,13 +72,18 @@ class Reports:
 
     def publish_progress(self) -> None:
         """Publish how far the arm has come to its target, and once that it has none any more."""
-        result, target = self._loop.state.result, self._loop.command.known_target
-        if target is None and not self._had_target:
+        state, target = self._loop.state, self._loop.command.known_target
+        if target is None and self._known_target is None:
             return
-        self._had_target = target is not None
+        # A target that an arm lets go of because it does not follow is still talked about.
+        told = target
+        if target is None and state.astray and state.hold == state.astray:
+            told = self._known_target
+        self._known_target = told
         self._target.publish(diagnostics(
             progress_status(
-                self._node.get_fully_qualified_name(), self._robot, target, result),
+                self._node.get_fully_qualified_name(), self._robot, told, state.result,
+                state.astray if target is None else ''),
             self._node.get_clock().now().to_msg()))
 
     def publish_body(self) -> None:

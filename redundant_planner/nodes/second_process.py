@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from redundant_planner.core.safety.jerk import SmoothStop
-from redundant_planner.core.safety.position_command import PositionCommand
+from redundant_planner.core.safety.position_command import integrated
 from redundant_planner.nodes import runtime
 from redundant_planner.nodes.command_memory import (
     CommandMemory,
@@ -153,7 +153,7 @@ def speak(
         np.array(brief.acceleration_max), np.array(brief.jerk_max), brief.period)
     stop.moving(last.before)
     stop.moving(dq)
-    command = PositionCommand(np.array(brief.position_min), np.array(brief.position_max), np.inf)
+    low, high = np.array(brief.position_min), np.array(brief.position_max)
     due = last.time + brief.period
     if clock() - last.time > _STALE:
         dq = np.zeros(len(dq))
@@ -164,7 +164,7 @@ def speak(
     while dq.any():
         sleep(max(due - clock(), 0.0))
         dq = stop.next()
-        positions = command.advance(last.positions, dq, brief.period, known=False)
+        positions = integrated(positions, dq, brief.period, low, high)
         now = clock()
         due = now + brief.period
         publish(now)

@@ -22,6 +22,10 @@ Array = npt.NDArray[np.float64]
 # What a target is called on ~/target: of the tip place and quaternion, x y z and x y z w, in the
 # base frame; of the joints name=position for each.
 TARGET = 'target'
+# What ~/target says of an arm that does not do what it is told.
+DOES_NOT_FOLLOW = 'does not follow'
+_LEFT = ('distance [m]', 'angle [rad]', 'expected time [s]', 'ends off by [m, rad]',
+         'farthest joint [rad, m]')
 # Tick times that are kept until the next report.
 _TICKS = 5000
 
@@ -34,6 +38,7 @@ class LoopState:
         hold: why the arm is at rest or being brought to rest, empty while the planner moves it.
         fault: whether `hold` is a fault, rather than the start or the operator's wish.
         trouble: what is wrong with the inputs without holding the arm.
+        astray: why the arm did not follow, until it does.
         result: of the last tick, None before the first.
         tick_times: of the ticks since the last report [s].
         overruns: ticks that took longer than the period, since the start.
@@ -46,6 +51,7 @@ class LoopState:
     hold: str = 'waiting for joint_states'
     fault: bool = False
     trouble: str = ''
+    astray: str = ''
     result: StepResult | None = None
     tick_times: deque[float] = field(default_factory=lambda: deque(maxlen=_TICKS))
     overruns: int = 0
@@ -79,6 +85,8 @@ def status_of(
     if state.hold:
         status.level = DiagnosticStatus.ERROR if state.fault else DiagnosticStatus.WARN
         status.message = state.hold
+    elif state.astray:
+        status.level, status.message = DiagnosticStatus.ERROR, state.astray
     elif state.trouble or reason:
         status.level, status.message = DiagnosticStatus.WARN, state.trouble or reason
     else:
@@ -120,6 +128,7 @@ def status_of(
 
 def progress_status(
     name: str, robot: Robot, target: Target | None, result: StepResult | None,
+    astray: str = '',
 ) -> DiagnosticStatus:
     """Return the entry of ~/target.
 
@@ -128,20 +137,25 @@ def progress_status(
         robot: the arm.
         target: None without one.
         result: of the last tick.
+        astray: why the arm does not follow, and lets go of its target; empty if it does.
     """
     status = DiagnosticStatus(name=f'{name}: target', message='no target')
+    if astray and target is not None:
+        status.level, status.message = DiagnosticStatus.ERROR, DOES_NOT_FOLLOW
+        status.values = [KeyValue(key=key, value=value) for key, value in {
+            **dict.fromkeys(_LEFT, 'nan'), 'limited by': astray,
+            TARGET: _target_text(robot, target)}.items()]
+        return status
     progress = result.progress if result is not None else None
     if result is None or target is None or progress is None:
         return status
     stopped = progress.state in (TargetState.BLOCKED, TargetState.OUT_OF_REACH)
     status.level = DiagnosticStatus.WARN if stopped else DiagnosticStatus.OK
     status.message = progress.state.value
+    left = (f'{progress.distance:.6f}', f'{progress.angle:.6f}', f'{progress.seconds:.3f}',
+            f'{progress.miss:.4f}', f'{progress.joint:.6f}')
     status.values = [KeyValue(key=key, value=value) for key, value in {
-        'distance [m]': f'{progress.distance:.6f}',
-        'angle [rad]': f'{progress.angle:.6f}',
-        'expected time [s]': f'{progress.seconds:.3f}',
-        'ends off by [m, rad]': f'{progress.miss:.4f}',
-        'farthest joint [rad, m]': f'{progress.joint:.6f}',
+        **dict(zip(_LEFT, left)),
         'limited by': result.reason,
         TARGET: _target_text(robot, target),
     }.items()]

@@ -23,6 +23,13 @@ LISTENING = 1.0
 MOVED_BY_OTHERS = 5e-3
 # After a longer time without a tick the motion starts again from the measured posture [s].
 LONGEST_GAP = 1.0
+# A command after a pause of this length is a fresh one [s].
+FRESH_AFTER = 0.3
+# Two jumps within this time are not of somebody who has moved the arm [s].
+_JUMPS_AGAIN = 2.0
+_JUMPS = ('the arm does not follow: joint_states jump each time that it is commanded; does the '
+          "controller have the joints in another order than this planner's?")
+_MOVED = 'something else has moved the arm: it stays where it is'
 # The answer to who pauses a planner that somebody has paused before.
 PAUSED_ALREADY = 'paused already: the arm is left to others'
 
@@ -52,6 +59,8 @@ class Supervisor:
     Attributes:
         posture: (n,) the latest measurement [rad, m]; None before the first.
         failure: the fault that holds the arm until `reset`; empty without one.
+        astray: why the arm does not follow; empty if it does.
+        tries: whether it may try again, gently.
         listening: whether the arm has not been allowed to move yet, so that a command on its topic
             comes from another node.
     """
@@ -81,6 +90,11 @@ class Supervisor:
         self._pause_due = False
         self._command_publishers: Sequence[str] = ()
         self._twist_publishers: Sequence[str] = ()
+        self.astray = ''
+        self.tries = False
+        self._quiet_since = np.inf  # when the last command ended
+        self._moved_by_others = False
+        self._jumped_at = -np.inf
 
     def measured(self, posture: Array, now: float) -> None:
         """Take a measured posture (n,), and see whether the arm has jumped [rad, m; s]."""
@@ -93,7 +107,35 @@ class Supervisor:
                 self.posture, posture, self._velocity_max, now - self._measured_at,
                 self._position_tolerance):
             self._restart = 'joint_states jumped: the motion starts again from where the arm is'
+            if now - self._jumped_at < _JUMPS_AGAIN:
+                self.does_not_follow(_JUMPS)
+            self._jumped_at = now
         self.posture, self._measured_at = posture, now
+
+    def does_not_follow(self, reason: str) -> None:
+        """Stop an arm that does not do what it is told, until a fresh command comes."""
+        self.astray, self.tries, self._quiet_since = reason, False, np.inf
+
+    def follows(self) -> None:
+        """Note that the arm follows again."""
+        self.astray, self.tries = '', False
+
+    def moved_by_others(self) -> None:
+        """Have a standing arm that was moved by something else stay where it is."""
+        self._moved_by_others = True
+
+    def heard_a_wish(self, wishes: bool, now: float, at_rest: bool) -> None:
+        """Note whether somebody commands the arm [s].
+
+        A standing arm that did not follow tries again with a command that comes after a pause: a
+        stick that was held all the time must not move it once its controller wakes up.
+        """
+        if not wishes:
+            self._quiet_since = min(self._quiet_since, now)
+        elif self.astray and at_rest and now - self._quiet_since >= FRESH_AFTER:
+            self.tries = True
+        if wishes:
+            self._quiet_since = np.inf
 
     def heard_a_command(self, now: float) -> None:
         """Note a command on the arm's topic while this node is silent: another node's [s]."""
@@ -124,6 +166,7 @@ class Supervisor:
             The answer to the operator.
         """
         self._restart = 'reset: the motion starts again from where the arm is'
+        self.tries = bool(self.astray)
         self._reset_wanted = bool(self.failure)
         return self._restart
 
@@ -196,6 +239,11 @@ class Supervisor:
         if self._restart and not at_rest:
             return Decision(self._restart, is_fault=True, warning=self._restart)
         self._restart = ''
+        if self.astray and not self.tries:
+            return Decision(self.astray, is_fault=True, warning=self.astray)
+        if self._moved_by_others and not at_rest:
+            return Decision(_MOVED, warning=_MOVED)
+        self._moved_by_others = False
         if len(self._command_publishers) > 1:
             reason = _several('joint_command', self._command_publishers)
             return Decision(reason, is_fault=True,

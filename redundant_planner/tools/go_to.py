@@ -36,7 +36,7 @@ from redundant_planner.io.recorded_configuration import configuration_of
 from redundant_planner.io.robot_files import robot_of_values
 from redundant_planner.nodes.messages import positions_from_message
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
-from redundant_planner.nodes.state_report import TARGET
+from redundant_planner.nodes.state_report import DOES_NOT_FOLLOW, TARGET
 from redundant_planner.nodes.supervisor import PAUSED_ALREADY
 
 Array = npt.NDArray[np.float64]
@@ -274,6 +274,8 @@ def follow(client: _Client, target: Target, console: Console) -> str:
             state, values = status.message, _values(status)
             if not client.is_of(status, target):
                 return 'somebody else commands the arm now'
+            if state == DOES_NOT_FOLLOW:
+                return str(state)
             share = 1.0 - min(_left(status) / max(first, 1e-9), 1.0)
             bar.update(task, completed=share, description=state, what=(
                 f'{_shown(values, target)}, another {float(values["expected time [s]"]):.1f} s '

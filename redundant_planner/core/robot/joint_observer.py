@@ -49,6 +49,12 @@ class JointObserver:
         self._state[_STRAYED] = 0.0
 
     @property
+    def ahead(self) -> Array:
+        """Where the arm will be by its commands at the end of the latest (n,) [rad, m]."""
+        state = self._state
+        return state[_COMMANDED] + state[_OFFSET] + self._told * state[_TOLD]
+
+    @property
     def strayed(self) -> Array:
         """How far the arm is from its way, noise left out (n,) [rad, m].
 

@@ -1,58 +1,108 @@
-"""Where a velocity command leads: its integral for position drives, and a simulated arm."""
+"""Where a velocity command leads: the posture to command to arms that take positions."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, Vector
+from redundant_planner.core.kernels import compiled, OutVector, Vector
+from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
 
 
 class PositionCommand:
-    """The integral of the velocity commands, for arms that take positions.
+    """The integral of the velocity commands, held near the posture that is planned from.
 
     It starts at the measured posture and then follows the commands alone: adding q̇ dt to every
-    measurement instead would leave a position-controlled arm standing behind its own lag.
+    measurement instead would leave a position-controlled arm standing behind its own lag. Where
+    it leads further ahead of the planned posture than the drive explains, as after a push or with
+    a joint that stands, it comes back within the limits of velocity and acceleration.
     """
 
-    def __init__(self, position_min: Array, position_max: Array, tolerance: float) -> None:
-        """Stay inside the position limits (n,), and within `tolerance` [rad, m] of the arm."""
-        self._min, self._max, self._tolerance = position_min, position_max, tolerance
-        self._no_speed = np.zeros(len(position_min))
-        self._q: Array | None = None
+    def __init__(self, limits: Limits) -> None:
+        """Begin without a posture; its steps keep these limits, the margin not counted."""
+        self._limits = limits
+        self._no_lead = np.zeros(len(limits.velocity_max))
+        self.reset()
 
     def reset(self) -> None:
         """Start from the measured posture at the next advance."""
-        self._q = None
+        self._q: Array | None = None
+        self._dq = self._no_lead
+
+    def start(self, measured: Array, tolerance: float) -> None:
+        """Go on from a standing arm: from the last posture if the arm is there.
+
+        Args:
+            measured: (n,) [rad, m].
+            tolerance: by which the arm may be elsewhere, as its load sags [rad, m].
+        """
+        if self._q is None or float(np.abs(self._q - measured).max()) > tolerance:
+            self._q = measured
+        self._dq = self._no_lead
+
+    def is_near(self, posture: Array, distance: float) -> bool:
+        """Return whether the last posture is within a distance of this one (n,) [rad, m]."""
+        return self._q is None or float(np.abs(self._q - posture).max()) <= distance
 
     def advance(
-        self, measured: Array, dq: Array, dt: float, *, known: bool = True,
+        self, dq: Array, dt: float, planned: Array | None = None, lead: Array | None = None,
     ) -> Array:
         """Return the positions (n,) to command for velocities `dq` held for `dt`.
 
         Args:
-            measured: (n,) where the arm is [rad, m],
-            known: or where it was when it was last heard of.
             dq: (n,) [rad/s, m/s].
             dt: [s].
+            planned: (n,) where the arm will be by the commands, this one included [rad, m]; None
+                if that is not known: the velocities alone count.
+            lead: (n,) how far from there positions may be [rad, m]; none if left out.
         """
-        if self._q is None or (
-                known and _far_apart(self._q, measured, self._no_speed, 0.0, self._tolerance)):
-            self._q = measured
-        self._q = _advanced(self._q, dq, dt, self._min, self._max)
+        assert self._q is not None, 'it starts from a posture'
+        if planned is None:
+            planned, lead = self._q, self._no_lead + np.inf
+        before, self._q, self._dq = self._q, self._q.copy(), self._dq.copy()
+        _advance(self._q, self._dq, before, dq, planned,
+                 self._no_lead if lead is None else lead, self._limits, dt)
         return self._q.copy()
 
 
 @compiled
-def _advanced(q: Vector, dq: Vector, dt: float, low: Vector, high: Vector) -> Array:
-    advanced = q.copy()
+def _advance(
+    q: OutVector, speed: OutVector, before: Vector, dq: Vector, planned: Vector, lead: Vector,
+    limits: Limits, dt: float,
+) -> None:
+    """Write the next positions (n,) and their velocities, which were those of the last tick."""
     for i in range(len(q)):
+        # Where the velocities lead, and the nearest place to that where it may be.
+        goes = before[i] + dq[i] * dt
+        to = min(max(goes, planned[i] - lead[i]), planned[i] + lead[i])
+        wanted = dq[i]
+        if to != goes:
+            # As fast as it can still come to rest there, with what the drive has to spare.
+            off = to - goes
+            back = min(abs(off) / dt, np.sqrt(limits.acceleration_max[i] * abs(off)))
+            wanted += back if off > 0.0 else -back
+        step = limits.acceleration_max[i] * dt
+        wanted = min(max(wanted, speed[i] - step), speed[i] + step)
+        wanted = min(max(wanted, -limits.velocity_max[i]), limits.velocity_max[i])
+        there = before[i] + wanted * dt
+        if to != goes and abs(there - to) < 1e-12 + 1e-9 * abs(to):
+            there = to
         # An arm found outside its range is not pulled: only its velocity command moves it.
-        if dq[i] != 0.0:
-            advanced[i] = min(max(q[i] + dq[i] * dt, low[i]), high[i])
-    return advanced
+        if wanted != 0.0:
+            low = min(limits.positions[1, i] - limits.margin, before[i])
+            high = max(limits.positions[0, i] + limits.margin, before[i])
+            there = min(max(there, low), high)
+        q[i], speed[i] = there, (there - before[i]) / dt
+
+
+def integrated(q: Array, dq: Array, dt: float, low: Array, high: Array) -> Array:
+    """Return where velocities (n,) lead from positions (n,) within a range in dt [s].
+
+    Joints outside their range stay there, or come in.
+    """
+    return np.clip(q + dq * dt, np.minimum(low, q), np.maximum(high, q))
 
 
 def has_jumped(
@@ -66,14 +116,4 @@ def has_jumped(
         elapsed: time between them [s].
         tolerance: [rad, m], for noise and late messages.
     """
-    return _far_apart(before, after, velocity_max, elapsed, tolerance)
-
-
-@compiled
-def _far_apart(
-    before: Vector, after: Vector, velocity_max: Vector, elapsed: float, tolerance: float,
-) -> bool:
-    for i in range(len(before)):
-        if abs(after[i] - before[i]) > velocity_max[i] * elapsed + tolerance:
-            return True
-    return False
+    return bool((np.abs(after - before) > velocity_max * elapsed + tolerance).any())

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from conftest import planar_urdf, ROBOTS
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
 from redundant_planner.core.errors import RobotError
 from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
-from redundant_planner.core.safety.position_command import has_jumped, PositionCommand
+from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.safety.position_command import has_jumped, integrated, PositionCommand
+
+N = 2
 
 
 def make_arm(**start):
@@ -81,25 +84,65 @@ def test_bad_urdfs_are_refused(urdf):
         joint_ranges(urdf)
 
 
-def test_position_command_integrates_and_does_not_follow_the_lag():
-    command = PositionCommand(np.full(2, -1.0), np.full(2, 1.0), tolerance=0.1)
-    measured = np.zeros(2)
+LIMITS = Limits(np.array(([1.0] * N, [-1.0] * N)), np.full(N, 2.0), np.full(N, 10.0), 0.0)
+DT = 0.004
+
+
+def started(q, limits=LIMITS):
+    command = PositionCommand(limits)
+    command.start(np.array(q, dtype=float), 0.02)
+    return command
+
+
+def test_it_integrates_and_does_not_follow_the_lag():
+    command = started([0.0, 0.0])
     for i in range(1, 21):
-        target = command.advance(measured, np.array([0.5, 0.0]), 0.01)
-        np.testing.assert_allclose(target, [0.005 * i, 0.0])
+        q = command.advance(np.array([0.02 * min(i, 10), 0.0]), DT, np.zeros(N), np.full(N, 0.5))
+    np.testing.assert_allclose(q, [DT * 0.02 * (55 + 100), 0.0])
 
 
-def test_position_command_stays_inside_the_limits_and_starts_again_when_lost():
-    command = PositionCommand(np.full(1, -1.0), np.full(1, 1.0), tolerance=0.1)
-    assert command.advance(np.array([0.99]), np.array([5.0]), 0.01) == pytest.approx(1.0)
-    assert command.advance(np.array([0.5]), np.array([1.0]), 0.01) == pytest.approx(0.51)
-    command.reset()
-    assert command.advance(np.array([0.2]), np.array([0.0]), 0.01) == pytest.approx(0.2)
+def test_it_stays_within_the_range_and_pulls_no_arm_from_outside():
+    command = started([0.999, 1.05])
+    for _ in range(50):
+        q = command.advance(np.array([0.5, 0.0]), DT)
+    assert q.tolist() == [1.0, 1.05]
+    assert command.advance(np.array([0.0, -0.01]), DT)[1] < 1.05
+    q = integrated(np.array([0.999, 1.05]), np.ones(2), DT, *LIMITS.positions[::-1])
+    assert q.tolist() == [1.0, 1.05]
 
 
-def test_position_command_does_not_pull_an_arm_found_outside_its_limits():
-    command = PositionCommand(np.full(1, -1.0), np.full(1, 1.0), tolerance=0.1)
-    assert command.advance(np.array([1.05]), np.array([0.0]), 0.01) == pytest.approx(1.05)
+@pytest.mark.parametrize(('away', 'stays'), [(0.019, True), (0.021, False)])
+def test_it_goes_on_from_its_last_posture_if_the_arm_is_there(away, stays):
+    command = started([0.1, 0.2])
+    command.advance(np.zeros(N), DT)
+    command.start(np.array([0.1 - away, 0.2]), 0.02)
+    q = command.advance(np.zeros(N), DT)
+    assert q.tolist() == ([0.1, 0.2] if stays else [0.1 - away, 0.2])
+
+
+@settings(max_examples=80, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_steps_keep_velocity_and_acceleration_whatever_the_planned_posture_does(seed):
+    """And where nothing moves any more, positions come to where they may be."""
+    random = np.random.default_rng(seed)
+    planned = random.uniform(-0.9, 0.9, N)
+    command, q, speed, dq = started(planned), planned, np.zeros(N), np.zeros(N)
+    for i in range(500):
+        dq = dq + random.uniform(-1.0, 1.0, N) * LIMITS.acceleration_max * DT if i < 200 else (
+            dq - np.clip(dq, -10.0 * DT, 10.0 * DT))
+        dq = np.clip(dq, -1.5, 1.5)
+        planned = planned + DT * dq
+        if i < 250 and random.random() < 0.02:  # a push, or a joint that stands
+            planned = planned + random.uniform(-0.1, 0.1, N)
+        lead = random.uniform(0.0, 0.05) if i < 250 else 0.02
+        before, q = q, command.advance(dq, DT, planned, np.full(N, lead))
+        step = (q - before) / DT
+        assert (np.abs(step) <= LIMITS.velocity_max * (1.0 + 1e-9)).all()
+        inside = (np.abs(before) < 1.0) & (np.abs(q) < 1.0)
+        assert (np.abs(step - speed)[inside] <= 10.0 * DT * (1.0 + 1e-6) + 1e-9).all()
+        speed = step
+    assert (np.abs(q - np.clip(planned, -1.0, 1.0)) <= 0.02 + 1e-9).all() or (
+        np.abs(planned) > 1.0).any()
 
 
 @pytest.mark.parametrize(('step', 'jumped'), [(0.05, False), (0.29, False), (0.31, True)])

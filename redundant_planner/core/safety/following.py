@@ -1,0 +1,168 @@
+"""Whether the arm does what it is told: what was commanded against what was measured.
+
+A drive answers late: by its lag, its dead time, and the age of joint_states. So each joint may be
+behind by what it was told to travel within the last `WINDOW`, and by a tolerance. What it is
+behind by otherwise is lost: no controller carries it out, it has another order of joints, or the
+hardware stands still.
+
+    lost ← lost · e^(−dt/3 s) + q̇ dt, then less by 1.1 times what the joint has moved that way
+
+So a gain that is off by a tenth loses nothing, nor does motion against the command, as of a push.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.kernels import compiled, OutMatrix, OutVector, Vector
+
+Array = npt.NDArray[np.float64]
+
+# How late drives and measurements may be, besides the drive's lag and dead time [s].
+WINDOW = 0.3
+# What joints lose, and what others move them by at rest, is forgotten in this time; what they move
+# without a command in this: a push does not count for long [s].
+_FORGETTING, _FORGETTING_MOVES = 3.0, 0.5
+# How much more than a joint has moved is taken to be done.
+_GAIN = 1.1
+# Measured motion within this is noise [rad, m].
+_NOISE = 2.5e-3
+# A joint that was told to move so far, and has done so by this share, follows; one that was told
+# three times as much and has not does not [rad, m].
+_FIRST_MOTION, _FIRST_SHARE = 0.01, 0.3
+
+# Rows of the state: what was lost, what was moved without a command, and that without forgetting;
+# the measurement without its noise; the travel told within the window, and of late; and all that
+# was told and done since the beginning [rad, m].
+_LOST, _BESIDE, _AWAY, _MEASURED, _TRAVEL, _RECENT, _TOLD, _DONE = range(8)
+
+
+class Following:
+    """Watches one arm from the moment at which it begins to move.
+
+    Attributes:
+        tolerance: how far a joint may be behind besides [rad, m]; 0 for any distance.
+    """
+
+    def __init__(self, joint_names: Sequence[str], dt: float, tolerance: float) -> None:
+        """Prepare for n joints and ticks of dt [s]."""
+        self.tolerance = tolerance
+        self._names, self._dt = joint_names, dt
+        self._state = np.zeros((8, len(joint_names)))
+        self._travels = np.zeros((1, len(joint_names)))
+        self._at = 0
+
+    def begin(self, measured: Array, delay: float) -> None:
+        """Begin anew with an arm at rest.
+
+        Args:
+            measured: (n,) where it is [rad, m].
+            delay: lag and dead time of its drives, as far as they are known [s].
+        """
+        self._state[:] = 0.0
+        self._state[_MEASURED] = measured
+        ticks = round((WINDOW + delay) / self._dt) + 1
+        self._travels, self._at = np.zeros((ticks, len(measured))), 0
+
+    def rest(self) -> None:
+        """Count from here what the arm is moved by without a command."""
+        self._state[_AWAY] = 0.0
+
+    @property
+    def travel(self) -> Array:
+        """How far each joint was told to travel of late (n,) [rad, m]."""
+        return self._state[_TRAVEL]
+
+    @property
+    def moved_by_others(self) -> float:
+        """How far the farthest joint has moved without a command since `rest` [rad, m]."""
+        return float(np.abs(self._state[_AWAY]).max())
+
+    @property
+    def has_followed(self) -> bool:
+        """Whether the joint that was told most has done its first motion."""
+        told, done = self._first_motion
+        return told >= _FIRST_MOTION and done >= _FIRST_SHARE * told
+
+    @property
+    def _first_motion(self) -> tuple[float, float]:
+        """What the joint was told that was told most, and what it has done [rad, m]."""
+        told = self._state[_TOLD]
+        most = int(told.argmax())
+        return float(told[most]), float(self._state[_DONE, most])
+
+    def tick(self, dq: Array, measured: Array, *, tries: bool = False) -> str:
+        """Take a tick; say which joints do not follow, if any does not.
+
+        Args:
+            dq: (n,) velocity that has been commanded since the last tick [rad/s, m/s].
+            measured: (n,) where the arm is [rad, m].
+            tries: whether the arm is to show by a small motion that it follows.
+        """
+        at, self._at = self._at, (self._at + 1) % len(self._travels)
+        bad = _watch(self._state, self._travels[at], dq, measured, self.tolerance, self._dt)
+        if tries:
+            told, done = self._first_motion
+            bad = bad or (told >= 3.0 * _FIRST_MOTION and done < _FIRST_SHARE * told)
+        return self._words() if bad and self.tolerance > 0.0 else ''
+
+    def _words(self) -> str:
+        lost, beside = np.abs(self._state[_LOST]), np.abs(self._state[_BESIDE])
+        least = min(self.tolerance, float(lost.max()))
+        stand = [f"joint '{self._names[i]}' stays behind by {lost[i]:.3f}"
+                 for i in np.argsort(-lost) if lost[i] >= least]
+        move = [f"'{self._names[j]}'" for j in np.argsort(-beside)
+                if beside[j] > self.tolerance + self._state[_RECENT, j]]
+        if move:
+            return (f'the arm does not follow: {", ".join(stand)} rad or m, while joint '
+                    f'{", ".join(move)} moves without a command; does the controller have the '
+                    "joints in another order than this planner's?")
+        return (f'the arm does not follow: {", ".join(stand)} rad or m; is its controller active, '
+                'does it listen to this output, and does the hardware move?')
+
+
+@compiled
+def _watch(
+    state: OutMatrix, travels: OutVector, dq: Vector, measured: Vector, tolerance: float,
+    dt: float,
+) -> bool:
+    """Bring the state up to date; return whether a joint does not follow.
+
+    Args:
+        state: of `Following`.
+        travels: (n,) what was told in the tick that leaves the window; that of this one after it.
+        dq, measured: (n,) see `Following.tick`.
+        tolerance, dt: see there.
+    """
+    kept, kept_moves = 1.0 - dt / (dt + _FORGETTING), 1.0 - dt / (dt + _FORGETTING_MOVES)
+    late, stands, moves = False, -1, -1
+    for i in range(len(dq)):
+        told = dq[i] * dt
+        state[_TRAVEL, i] = max(state[_TRAVEL, i] + abs(told) - travels[i], 0.0)
+        travels[i] = abs(told)
+        state[_RECENT, i] = kept_moves * state[_RECENT, i] + abs(told)
+        off = measured[i] - state[_MEASURED, i]
+        moved = off - min(max(off, -_NOISE), _NOISE)
+        state[_MEASURED, i] += moved
+        lost, done = kept * state[_LOST, i] + told, 0.0
+        if moved * lost > 0.0:
+            done = min(max(_GAIN * moved, -abs(lost)), abs(lost))
+        beside = moved - done / _GAIN
+        state[_LOST, i] = lost - done
+        state[_BESIDE, i] = kept_moves * state[_BESIDE, i] + beside
+        state[_AWAY, i] = kept * state[_AWAY, i] + beside
+        state[_TOLD, i] += abs(told)
+        state[_DONE, i] += abs(done)
+        travel, behind = state[_TRAVEL, i], abs(state[_LOST, i])
+        # A joint that is told nothing loses nothing more.
+        if told * state[_LOST, i] > 0.0:
+            late = late or behind > tolerance + travel
+            if behind > tolerance + 0.5 * travel:
+                stands = i
+        # An arm that comes to rest late coasts by no more than it was told of late.
+        if abs(state[_BESIDE, i]) > tolerance + state[_RECENT, i]:
+            moves = i
+    return late or (stands >= 0 and moves >= 0 and stands != moves)

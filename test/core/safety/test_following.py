@@ -1,0 +1,150 @@
+"""An arm that does not do what it is told is told from one that does it late or badly."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+
+from redundant_planner.core.safety.following import Following, WINDOW
+
+NAMES, DT = ('a', 'b', 'c'), 0.004
+
+
+class Arm:
+    """Joints that obey velocities late, and joint_states that are late and rare."""
+
+    def __init__(self, lag=0.0, dead_time=0.0, noise=0.0, late=0.0, rate=250.0, gain=1.0,
+                 play=0.0, seed=0):
+        self.q, self.dq, self.shown = np.zeros(3), np.zeros(3), np.zeros(3)
+        self._lag, self._gain, self._noise, self._play = lag, gain, noise, play
+        self._told = deque([np.zeros(3)] * round(dead_time / DT))
+        self._seen = deque([np.zeros(3)] * round(late / DT))
+        self._every, self._ticks = max(round(1.0 / (rate * DT)), 1), 0
+        self._random = np.random.default_rng(seed)
+        self._motor = np.zeros(3)
+
+    def move(self, dq):
+        self._told.append(self._gain * dq)
+        wanted = self._told.popleft()
+        kept = np.exp(-DT / self._lag) if self._lag > 1e-4 else 0.0
+        self.dq = wanted + (self.dq - wanted) * kept
+        self._motor = self._motor + DT * self.dq
+        half = 0.5 * self._play
+        self.q = np.clip(self.q, self._motor - half, self._motor + half)
+        self._seen.append(self.q + self._noise * self._random.normal(size=3))
+        now, self._ticks = self._seen.popleft(), self._ticks + 1
+        if self._ticks % self._every == 0:
+            self.shown = now
+        return self.shown
+
+
+def swing(t, speed=0.6):
+    """Velocities that begin, turn, stop for a while and begin again."""
+    phase = t % 6.0
+    return speed * np.array([np.sin(2.1 * phase), np.sign(np.sin(1.3 * phase)) * (phase < 4.0),
+                             0.3 * np.sin(9.0 * phase)]) * min(phase / 0.1, 1.0)
+
+
+def watched(arm, velocity, seconds, tolerance=0.02):
+    """Return the first complaint and its time; '' and the end if there is none."""
+    following = Following(NAMES, DT, tolerance)
+    measured = arm.shown
+    following.begin(measured, 0.0)
+    for i in range(round(seconds / DT)):
+        dq = velocity(i * DT)
+        measured = arm.move(dq)
+        reason = following.tick(dq, measured)
+        if reason:
+            return reason, i * DT
+    return '', seconds
+
+
+@pytest.mark.parametrize('late', [
+    {}, {'lag': 0.08}, {'lag': 0.08, 'dead_time': 0.04}, {'rate': 20.0, 'late': 0.1},
+    {'lag': 0.08, 'dead_time': 0.04, 'late': 0.1}, {'noise': 5e-4}, {'play': 0.01},
+    {'lag': 0.08, 'dead_time': 0.04, 'noise': 5e-4, 'play': 0.01}, {'gain': 0.95},
+    {'gain': 1.05}], ids=str)
+def test_a_late_noisy_or_loose_arm_follows(late):
+    assert watched(Arm(**late), swing, 60.0)[0] == ''
+
+
+@settings(max_examples=30, deadline=None)
+@given(lag=st.floats(0.0, 0.1), dead_time=st.floats(0.0, 0.06), late=st.floats(0.0, 0.1),
+       noise=st.floats(0.0, 5e-4), speed=st.floats(0.05, 1.0), seed=st.integers(0, 1000))
+def test_any_drive_within_the_window_follows(lag, dead_time, late, noise, speed, seed):
+    arm = Arm(lag, dead_time, noise, late, seed=seed)
+    assert watched(arm, lambda t: swing(t, speed), 12.0)[0] == ''
+
+
+@pytest.mark.parametrize('speed', [0.1, 0.2, 0.6, 2.0])
+def test_an_arm_that_stands_is_found_out_soon_and_named(speed):
+    arm = Arm(noise=5e-4)
+    arm.move = lambda dq: 5e-4 * np.random.default_rng(0).normal(size=3)
+    reason, at = watched(arm, lambda t: np.array([0.0, speed, 0.1 * speed]), 3.0)
+    assert reason.startswith("the arm does not follow: joint 'b' stays behind by 0.")
+    assert 'is its controller active' in reason
+    assert at <= WINDOW + 0.03 / speed + 0.03
+
+
+@pytest.mark.parametrize('speed', [0.1, 0.3, 1.0])
+def test_an_arm_that_freezes_in_motion_is_found_out_soon(speed):
+    arm, frozen = Arm(lag=0.03), []
+    move = arm.move
+
+    def freezing(dq):
+        if len(frozen) < round(2.0 / DT):
+            frozen.append(move(dq))
+        return frozen[-1]
+
+    arm.move = freezing
+    reason, at = watched(arm, lambda t: np.full(3, speed), 5.0)
+    assert reason and 2.0 < at <= 2.0 + WINDOW + 0.03 / speed + 0.03
+
+
+@pytest.mark.parametrize('speed', [0.1, 0.3, 1.0])
+def test_joints_in_another_order_are_named_before_they_are_far_off(speed):
+    arm = Arm(lag=0.02)
+    move = arm.move
+    arm.move = lambda dq: move(dq[[1, 0, 2]])
+    reason, at = watched(arm, lambda t: np.array([speed, 0.0, 0.2 * speed]), 3.0)
+    assert "joint 'a' stays behind" in reason and "while joint 'b' moves without a comm" in reason
+    assert 'another order' in reason
+    assert np.abs(arm.q).max() < 0.07 + 0.03 * speed and at < 0.8
+
+
+@pytest.mark.parametrize('push', [0.02, 0.1, -0.1])
+def test_a_push_is_no_fault_and_counts_as_moved_by_others_at_rest(push):
+    arm = Arm(lag=0.03, noise=2e-4)
+    following = Following(NAMES, DT, 0.02)
+    following.begin(arm.shown, 0.0)
+    moved = []
+    for i in range(1500):
+        dq = 0.3 * np.array([1.0, -1.0, 0.0]) * (i < 750)
+        if i in (300, 1200):
+            arm.q = arm.q + push * np.array([1.0, 1.0, -1.0])
+            arm._motor = arm.q
+        assert following.tick(dq, arm.move(dq)) == ''
+        if i < 900:
+            following.rest()
+        moved.append(following.moved_by_others)
+    assert max(moved[900:1190]) < 5e-3 < max(moved[1200:])
+
+
+def test_half_the_gain_is_found_out_and_zero_switches_it_off():
+    assert watched(Arm(gain=0.5), lambda t: np.full(3, 0.3), 5.0)[0]
+    assert watched(Arm(gain=0.0), lambda t: np.full(3, 0.3), 5.0, tolerance=0.0)[0] == ''
+
+
+def test_a_first_small_motion_shows_that_it_follows():
+    for gain, follows in ((1.0, True), (0.0, False)):
+        arm, following = Arm(lag=0.05, gain=gain), Following(NAMES, DT, 0.02)
+        following.begin(arm.shown, 0.0)
+        seen = False
+        for _ in range(125):
+            dq = np.array([0.05, 0.0, 0.0])
+            following.tick(dq, arm.move(dq))
+            seen = seen or following.has_followed
+        assert seen is follows
