@@ -20,6 +20,24 @@ from redundant_planner.nodes.joint_messages import JointWriter
 Array = npt.NDArray[np.float64]
 
 
+# A trajectory reaches its point after so many periods: the next one comes before it ends, so the
+# controller never stands still in between.
+TRAJECTORY_PERIODS = 2
+
+
+def trajectory_point(positions: Array, velocities: Array, period: float) -> Array:
+    """Return where a command leads in `TRAJECTORY_PERIODS` (n,) [rad, m].
+
+    joint_trajectory_controller refuses a last point with a velocity, so there is none: positions,
+    which are due at the end of this period, are carried on by another one.
+
+    Args:
+        positions, velocities: (n,) of the command [rad, m; per s].
+        period: between commands [s].
+    """
+    return positions + (TRAJECTORY_PERIODS - 1) * period * velocities
+
+
 class CommandOutput:
     """Publishes each command on joint_command and on the other outputs."""
 
@@ -32,7 +50,7 @@ class CommandOutput:
             node: to create them on.
             joint_names: the n joints.
             outputs: out of `OUTPUTS`; each is the name of its topic.
-            period: between commands; a trajectory reaches its point after one [s].
+            period: between commands [s].
         """
         self._publisher = node.create_publisher(JointState, 'joint_command', 10)
         self._writer = JointWriter(joint_names)
@@ -41,7 +59,8 @@ class CommandOutput:
                 JointTrajectory if name == JOINT_TRAJECTORY else Float64MultiArray, name, 10)
             for name in outputs}
         self._trajectory = JointTrajectory(joint_names=list(joint_names))
-        self._reach = Duration(seconds=period).to_msg()
+        self._period = period
+        self._reach = Duration(seconds=TRAJECTORY_PERIODS * period).to_msg()
 
     def publish(self, stamp_ns: int, positions: Array, velocities: Array) -> None:
         """Publish a command, (n,) each [rad, m; per s]."""
@@ -56,7 +75,9 @@ class CommandOutput:
                 # Without a stamp the trajectory begins on arrival.
                 self._trajectory.header.stamp = Time()
                 self._trajectory.points = [JointTrajectoryPoint(
-                    positions=position, velocities=velocity, time_from_start=self._reach)]
+                    positions=array.array('d', trajectory_point(
+                        positions, velocities, self._period).tobytes()),
+                    time_from_start=self._reach)]
                 publisher.publish(self._trajectory)
             else:
                 publisher.publish(Float64MultiArray(

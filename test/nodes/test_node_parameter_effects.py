@@ -24,6 +24,7 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
+from redundant_planner.core.safety.following import Following
 from redundant_planner.io.node_parameters import FakeHardwareParameters, PlannerNodeParameters
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import RobotParameters
@@ -254,6 +255,16 @@ def roughness(p: CameraParameters):
     return float(np.nanstd(np.linalg.norm(cloud, axis=0) - np.linalg.norm(true, axis=0)))
 
 
+def time_that_an_arm_may_stand(settings):
+    """How long a joint that is told to move may stand before it is said not to follow [s]."""
+    following = Following(('a',), DT, settings.follow_tolerance)
+    following.begin(np.zeros(1), 0.0)
+    ticks = 0
+    while not following.tick(np.array([0.3]), np.zeros(1)):
+        ticks += 1
+    return ticks * DT
+
+
 MOUNTED = (('mount_frame', 'cell'),)
 FALLING = (('servo', 'off'),)
 HEAVY = (('mass_error', 0.3),)
@@ -273,6 +284,7 @@ CASES = [
          '+'),
     Case(PlannerNodeParameters, 'joint_state_timeout', 0.1, 0.5, time_that_a_measurement_counts,
          '+'),
+    Case(PlannerNodeParameters, 'follow_tolerance', 0.01, 0.1, time_that_an_arm_may_stand, '+'),
     Case(PlannerNodeParameters, 'estimate_obstacle_velocity', False, True, believed_speed, '+'),
     Case(PlannerNodeParameters, 'workspace', (), (-1.0, -1.0, -1.0, 1.0, 1.0, 0.8), way_up, '-'),
     Case(FakeHardwareParameters, 'command_timeout', 0.05, 0.2, way_after_the_last_command, '+'),

@@ -162,8 +162,8 @@ class Smoothing:
         if not fits:
             for other in self._others(ticks, held):
                 # The present acceleration fades in its time: not into a joint limit.
-                if (isinstance(other, MeanVelocity) and other.ticks == 1) or can_stop(
-                        other.stops_at(posture, dt), other.latest, limits, dt):
+                if (isinstance(other, MeanVelocity) and other.ticks == 1) or _stays_inside(
+                        other, posture, limits, dt):
                     self._mean = other
                     break
         return self._mean.stops_at(posture, dt)
@@ -203,6 +203,19 @@ class Smoothing:
             # Less delay leaves more room: jerk gives way before the limits of positions do.
             yield FadingMean(mean.delay(held), self.sent, change / held)
             yield MeanVelocity(1, self.sent)
+
+
+def _stays_inside(
+    mean: MeanVelocity | FadingMean, posture: Array, limits: Limits, dt: float,
+) -> bool:
+    """Return whether joints at a posture (n,) come to rest within their range, or no further out.
+
+    Both if 0 is planned from now on, and if the arm brakes from the velocity planned last.
+    """
+    stop, (high, low) = mean.stops_at(posture, dt), limits.positions
+    return bool((stop <= np.maximum(high, posture)).all()
+                and (stop >= np.minimum(low, posture)).all()
+                and can_stop(stop, mean.latest, limits, dt))
 
 
 @compiled
