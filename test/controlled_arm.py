@@ -31,13 +31,14 @@ class ControlledArm:
         history: (time, q) of every cycle.
     """
 
-    def __init__(self, ros, output, order=range(7)):
+    def __init__(self, ros, output, order=range(7), listens=True):
         self.q, self.active, self.frozen = np.array(PANDA_READY), True, False
         self.history = []
         self._ros, self._output, self._order = ros, output, np.array(order)
         self._told = None
         self._due = time.monotonic()
-        ros.node.create_subscription(Float64MultiArray, output, self._hear, 1)
+        if listens:
+            ros.node.create_subscription(Float64MultiArray, output, self._hear, 1)
 
     def _hear(self, message):
         if self.active:
@@ -67,11 +68,10 @@ class ControlledArm:
         return float(np.abs(found - found[0]).max()) if len(found) else 0.0
 
 
-def started(ros, processes, output, order=range(7), **values):
+def started(ros, processes, output, order=range(7), listens=True):
     """Start a planner for an arm; return the arm once the planner commands it."""
-    arm = ControlledArm(ros, output, order)
-    processes.start('planner_node', FILE, {
-        'urdf': str(PANDA_URDF), 'outputs': [output], **values})
+    arm = ControlledArm(ros, output, order, listens)
+    processes.start('planner_node', FILE, {'urdf': str(PANDA_URDF), 'outputs': [output]})
     ros.wait_for(lambda: ros.commands and ros.twist.get_subscription_count(), 'start',
                  meanwhile=arm.cycle)
     return arm

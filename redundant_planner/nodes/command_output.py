@@ -58,6 +58,7 @@ class CommandOutput:
             name: node.create_publisher(
                 JointTrajectory if name == JOINT_TRAJECTORY else Float64MultiArray, name, 10)
             for name in outputs}
+        self._publishers = [self._publisher, *self._others.values()]
         self._trajectory = JointTrajectory(joint_names=list(joint_names))
         self._period = period
         self._reach = Duration(seconds=TRAJECTORY_PERIODS * period).to_msg()
@@ -84,9 +85,16 @@ class CommandOutput:
                     data=position if name == POSITION_COMMANDS else velocity))
 
     def listeners(self) -> int:
-        """Return how many subscriptions to joint_command have found this publisher."""
-        return int(self._publisher.get_subscription_count())
+        """Return how many subscriptions to all outputs have found their publishers."""
+        return sum(int(publisher.get_subscription_count()) for publisher in self._publishers)
+
+    def unheard(self) -> list[str]:
+        """Return the topics that nobody listens to; joint_command counts if there is no other."""
+        return [str(publisher.topic_name)
+                for publisher in list(self._others.values()) or [self._publisher]
+                if not publisher.get_subscription_count()]
 
     def wait_until_heard(self, seconds: float) -> None:
         """Wait until reliable listeners have acknowledged the last command, or the time is up."""
-        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
+        for publisher in self._publishers:
+            publisher.wait_for_all_acked(Duration(seconds=seconds))

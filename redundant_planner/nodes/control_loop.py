@@ -308,7 +308,9 @@ class ControlLoop:
         following.tolerance = self.settings.follow_tolerance
         reason = following.tick(self._last_command, self._posture(), tries=supervisor.tries)
         if reason and (supervisor.tries or not supervisor.astray):
-            supervisor.does_not_follow(reason)
+            unheard = self.output.unheard()
+            supervisor.does_not_follow(
+                reason + (f'; nobody listens to {", ".join(unheard)}' if unheard else ''))
         elif supervisor.tries and following.has_followed:
             supervisor.follows()
         if self.now - self._wished_at < FRESH_AFTER:

@@ -19,6 +19,10 @@ from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.joint_chunks import ChosenJoints, JointChunk
 from redundant_planner.io.printable import printable
 
+# A time whose error is larger than itself, and than this, is not known [s].
+_TELLING = 0.005
+_NONE = 'none that can be told'
+
 
 def motion_of_bag(path: Path, namespace: str) -> tuple[Motion, tuple[str, ...]]:
     """Return the commands and joint states of a bag by their stamps, and the joints' names.
@@ -51,6 +55,13 @@ def motion_of_bag(path: Path, namespace: str) -> tuple[Motion, tuple[str, ...]]:
     return Motion(times[order], commands[order], *rows['joint_states'][:2]), names
 
 
+def _late(time: float, error: float) -> str:
+    """Return a time with its error [s] in ms, unless it could as well be 0."""
+    if error > max(time, _TELLING):
+        return _NONE
+    return f'{1e3 * time:.1f} ± {1e3 * error:.1f}'
+
+
 def print_fit(console: Console, whole: DriveFit, joints: dict[str, DriveFit]) -> None:
     """Print a table, and what belongs into the planner's parameter file."""
     table = Table(title='How late the drives are')
@@ -58,10 +69,14 @@ def print_fit(console: Console, whole: DriveFit, joints: dict[str, DriveFit]) ->
         table.add_column(heading, justify='left' if heading == 'joint' else 'right')
     for name, fit in {**joints, 'all': whole}.items():
         table.add_row(
-            printable(name), f'{1e3 * fit.lag:.1f} ± {1e3 * fit.lag_error:.1f}',
-            f'{1e3 * fit.dead_time:.1f} ± {1e3 * fit.dead_time_error:.1f}',
+            printable(name), _late(fit.lag, fit.lag_error),
+            _late(fit.dead_time, fit.dead_time_error),
             f'{1e3 * (fit.lag + fit.dead_time):.1f}', f'{1e3 * fit.noise:.3f}')
     console.print(table)
+    if _NONE in (_late(whole.lag, whole.lag_error),
+                 _late(whole.dead_time, whole.dead_time_error)):
+        console.print('There is no lag that can be told from none: a longer or faster motion may '
+                      'tell more.')
     console.print('For the parameter file of planner_node:\n')
     console.print(f'    drive.lag: {whole.lag:.3f}\n    drive.dead_time: {whole.dead_time:.3f}')
 

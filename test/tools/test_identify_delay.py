@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -11,9 +12,11 @@ from conftest import PANDA_READY, PANDA_URDF, ROBOTS
 from live_helpers import LIVE, PATIENCE, station
 import numpy as np
 import pytest
+from rich.console import Console
 
+from redundant_planner.analysis.drive_fit import DriveFit
 from redundant_planner.io.bag_writer import BagWriter
-from redundant_planner.tools.identify_delay import main as identify_delay
+from redundant_planner.tools.identify_delay import main as identify_delay, print_fit
 from redundant_planner.tools.to_and_fro import swing
 
 DT, LATE = 0.004, 5
@@ -100,3 +103,16 @@ class TestLive:
         # Beside its dead time, the way of the messages and up to a period of the states.
         assert 0.028 < found['lag'] + found['dead_time'] < 0.045
         assert found['joints'] >= 3
+
+
+def test_a_lag_that_is_less_sure_than_long_is_not_given():
+    sure = DriveFit(0.0, 0.02, 0.001, 0.001, 1e-4, 2)
+    unsure = DriveFit(0.0, 0.008, 0.2676, 0.002, 1e-4, 1)
+    said = []
+    for whole in (sure, unsure):
+        console = Console(record=True, width=120, file=io.StringIO())
+        print_fit(console, whole, {'a': whole})
+        said.append(console.export_text())
+    assert '0.0 ± 1.0' in said[0] and 'no lag' not in said[0]
+    assert '267.6' not in said[1] and 'none that can be told' in said[1]
+    assert 'There is no lag that can be told from none' in said[1] and '8.0 ± 2.0' in said[1]
