@@ -35,7 +35,13 @@ from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.second_process import ACKNOWLEDGED, PAUSE, STOPS
 from redundant_planner.nodes.state_report import LoopState
-from redundant_planner.nodes.supervisor import Decision, FRESH_AFTER, MOVED_BY_OTHERS, Supervisor
+from redundant_planner.nodes.supervisor import (
+    Decision,
+    FRESH_AFTER,
+    JUMPS,
+    MOVED_BY_OTHERS,
+    Supervisor,
+)
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
 Array = npt.NDArray[np.float64]
@@ -307,6 +313,8 @@ class ControlLoop:
             return
         following.tolerance = self.settings.follow_tolerance
         reason = following.tick(self._last_command, self._posture(), tries=supervisor.tries)
+        if supervisor.jumps_again and wishes:
+            reason = JUMPS
         if reason and (supervisor.tries or not supervisor.astray):
             unheard = self.output.unheard()
             supervisor.does_not_follow(

@@ -27,7 +27,7 @@ LONGEST_GAP = 1.0
 FRESH_AFTER = 0.3
 # Two jumps within this time are not of somebody who has moved the arm [s].
 _JUMPS_AGAIN = 2.0
-_JUMPS = ('the arm does not follow: joint_states jump each time that it is commanded; does the '
+JUMPS = ('the arm does not follow: joint_states jump each time that it is commanded; does the '
           "controller have the joints in another order than this planner's?")
 _MOVED = 'something else has moved the arm: it stays where it is'
 # The answer to who pauses a planner that somebody has paused before.
@@ -61,6 +61,7 @@ class Supervisor:
         failure: the fault that holds the arm until `reset`; empty without one.
         astray: why the arm does not follow; empty if it does.
         tries: whether it may try again, gently.
+        jumps_again: whether it has jumped twice in a short time.
         listening: whether the arm has not been allowed to move yet, so that a command on its topic
             comes from another node.
     """
@@ -95,6 +96,7 @@ class Supervisor:
         self._quiet_since = np.inf  # when the last command ended
         self._moved_by_others = False
         self._jumped_at = -np.inf
+        self.jumps_again = False
 
     def measured(self, posture: Array, now: float) -> None:
         """Take a measured posture (n,), and see whether the arm has jumped [rad, m; s]."""
@@ -107,14 +109,14 @@ class Supervisor:
                 self.posture, posture, self._velocity_max, now - self._measured_at,
                 self._position_tolerance):
             self._restart = 'joint_states jumped: the motion starts again from where the arm is'
-            if now - self._jumped_at < _JUMPS_AGAIN:
-                self.does_not_follow(_JUMPS)
+            self.jumps_again = now - self._jumped_at < _JUMPS_AGAIN
             self._jumped_at = now
         self.posture, self._measured_at = posture, now
 
     def does_not_follow(self, reason: str) -> None:
         """Stop an arm that does not do what it is told, until a fresh command comes."""
         self.astray, self.tries, self._quiet_since = reason, False, np.inf
+        self.jumps_again = False
 
     def follows(self) -> None:
         """Note that the arm follows again."""
