@@ -47,8 +47,8 @@ setup(
         (SHARE, ['package.xml']),
         (f'{SHARE}/launch', glob('launch/*')),
         *((f'{SHARE}/config/{folder}', glob(f'config/{folder}/*'))
-          for folder in ('devices', 'middleware', 'perception', 'planner', 'robots', 'rviz',
-                         'scenarios')),
+          for folder in ('devices', 'middleware', 'perception', 'planner', 'robots',
+                         'ros2_control', 'rviz', 'scenarios')),
     ],
     python_requires='>=3.10',
     # pin is Pinocchio on PyPI; apt's ros-jazzy-pinocchio provides the same module.
