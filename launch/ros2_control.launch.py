@@ -39,7 +39,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('robot', default_value=str(config / 'robots' / 'panda.yaml'),
                               description='parameter file of the arm'),
         DeclareLaunchArgument(
-            'hardware', default_value=str(config / 'ros2_control' / 'panda_mock.xml'),
+            'hardware', default_value=str(config / 'ros2_control' / 'panda_ros2_control.xml'),
             description='file with the <ros2_control> block that the URDF gets'),
         DeclareLaunchArgument(
             'controllers', default_value=str(config / 'ros2_control' / 'panda_controllers.yaml'),

@@ -422,13 +422,10 @@ class Planner:
         self._observer.commanded(self._smoothing.take(result.dq), dt)
         self._last = _LastTick(
             result.dq, reached, followed, leaving,
-            _RUSH if self._rushes(result, desired) else last.rush - dt)
-
-    def _rushes(self, result: Filtered, desired: Wish) -> bool:
-        """Return whether jerk gives way: not where a margin has grown and nothing moves."""
+            _RUSH if result.stage is Stage.FORCED and desired.intruded and not (
+                self._margin_grew and self._watch.fastest == 0.0) else last.rush - dt)
+        # Where a margin has grown and nothing moves, jerk does not give way.
         self._margin_grew = self._margin_grew and desired.intruded
-        return result.stage is Stage.FORCED and desired.intruded and not (
-            self._margin_grew and self._watch.fastest == 0.0)
 
     def braked(self, dq: Array, dt: float) -> None:
         """Note that something else than the last step's velocity was commanded, to stop the arm.
@@ -461,7 +458,8 @@ class Planner:
         posture = self._smoothing.begin(
             self._observer.sense(self.robot.checked_posture(measured), dt), self._limits, dt,
             at_once=self._last.rush > 0.0)
-        self._last = self._last._replace(dq=self._smoothing.latest)
+        if self._smoothing.latest is not self._last.dq:  # another mean has taken over
+            self._last = self._last._replace(dq=self._smoothing.latest)
         return posture
 
     def _evade(

@@ -18,7 +18,7 @@ from redundant_planner.io.robot_files import load_robot
 CONFIG = share_directory() / 'config'
 CONTROLLERS = yaml.safe_load((CONFIG / 'ros2_control' / 'panda_controllers.yaml').read_text())
 MANAGER = CONTROLLERS['controller_manager']['ros__parameters']
-BLOCK = ElementTree.parse(CONFIG / 'ros2_control' / 'panda_mock.xml').getroot()
+BLOCK = ElementTree.parse(CONFIG / 'ros2_control' / 'panda_ros2_control.xml').getroot()
 PACKAGES = ('controller_manager', 'forward_command_controller', 'joint_state_broadcaster',
             'joint_trajectory_controller', 'robot_state_publisher')
 # The last part of the topic on which a controller of a type takes commands.
