@@ -1,7 +1,7 @@
-"""A Panda on ros2_control's mock hardware: `ros2 launch redundant_planner ros2_control.launch.py`.
+"""A Panda behind ros2_control: `ros2 launch redundant_planner ros2_control.launch.py`.
 
-With `output:=joint_trajectory` or `output:=position_commands` the planner commands another
-controller. docs/ros2_control.md has what each is good for.
+A controller manager with mock hardware, its controllers, and the planner. `output:=` chooses what
+the planner commands, and with it the controller that is active. docs/ros2_control.md has the rest.
 """
 
 from pathlib import Path
@@ -10,54 +10,69 @@ from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
-from redundant_planner.io.resources import resolve
+from redundant_planner.core.errors import ParameterError
+from redundant_planner.io.hardware_block import with_hardware
+from redundant_planner.io.parameter_files import read_robot_parameters, urdf_text
+from redundant_planner.io.resources import read_text
+from redundant_planner.io.ros_packages import check_installed
 
-# The controller of each output, and the topic that it listens to.
+PACKAGES = ('controller_manager', 'forward_command_controller', 'joint_state_broadcaster',
+            'joint_trajectory_controller', 'robot_state_publisher')
+# Output of the planner → controller, and its topic.
 CONTROLLERS = {
     'velocity_commands': ('arm_velocity', 'commands'),
     'position_commands': ('arm_position', 'commands'),
-    'joint_trajectory': ('arm_trajectory', 'joint_trajectory')}
-URDF = 'package://moveit_resources_panda_description/urdf/panda.urdf'
+    'joint_trajectory': ('arm_trajectory', 'joint_trajectory'),
+}
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the arguments; the nodes follow from the output."""
+    """Describe the arguments; the nodes follow from the robot's file and the output."""
+    config = Path(get_package_share_directory('redundant_planner')) / 'config'
     return LaunchDescription([
         DeclareLaunchArgument('output', default_value='velocity_commands',
-                              description=f'one of {", ".join(CONTROLLERS)}'),
-        DeclareLaunchArgument('urdf', default_value=URDF, description='of a Panda'),
+                              choices=list(CONTROLLERS),
+                              description='what the planner commands; its controller is active'),
+        DeclareLaunchArgument('robot', default_value=str(config / 'robots' / 'panda.yaml'),
+                              description='parameter file of the arm'),
+        DeclareLaunchArgument(
+            'hardware', default_value=str(config / 'ros2_control' / 'panda_ros2_control.xml'),
+            description='file with the <ros2_control> block that the URDF gets'),
+        DeclareLaunchArgument(
+            'controllers', default_value=str(config / 'ros2_control' / 'panda_controllers.yaml'),
+            description='parameter file of the controller manager and its controllers'),
+        DeclareLaunchArgument('params', default_value=str(config / 'planner' / 'default.yaml'),
+                              description='parameter file for the planner'),
         OpaqueFunction(function=_nodes),
     ])
 
 
-def with_hardware(urdf: str, hardware: str) -> str:
-    """Return a URDF's text with what ros2_control needs to know of the arm in it."""
-    body, end, rest = urdf.rpartition('</robot>')
-    return f'{body}{hardware}{end}{rest}'
-
-
 def _nodes(context) -> list[Node]:
-    """Make the arm's nodes, the spawner of its controllers, and the planner."""
-    config = Path(get_package_share_directory('redundant_planner')) / 'config'
-    output = LaunchConfiguration('output').perform(context)
-    controller, topic = CONTROLLERS[output]
-    urdf = LaunchConfiguration('urdf').perform(context)
-    controllers = str(config / 'ros2_control' / 'panda_controllers.yaml')
-    description = {'robot_description': with_hardware(
-        resolve(urdf).read_text(),
-        (config / 'ros2_control' / 'panda_ros2_control.xml').read_text())}
+    """Make the nodes once the arguments are known."""
+    check_installed('ros2_control', PACKAGES)
+    given = {name: LaunchConfiguration(name).perform(context)
+             for name in ('output', 'robot', 'hardware', 'controllers', 'params')}
+    robot = Path(given['robot'])
+    parameters, _ = read_robot_parameters(robot)
+    urdf = urdf_text(parameters, robot.parent)
+    if not urdf:
+        raise ParameterError(f"'{robot}' gives no robot: set 'urdf'")
+    description = with_hardware(urdf, read_text(Path(given['hardware'])))
+    active, topic = CONTROLLERS[given['output']]
+    inactive = [name for name, _ in CONTROLLERS.values() if name != active]
     return [
-        Node(package='robot_state_publisher', executable='robot_state_publisher',
-             parameters=[description], output='screen'),
-        Node(package='controller_manager', executable='ros2_control_node',
-             parameters=[controllers], output='screen'),
-        Node(package='controller_manager', executable='spawner',
-             arguments=['joint_state_broadcaster', controller, '--param-file', controllers],
-             output='screen'),
-        Node(package='redundant_planner', executable='planner_node',
-             parameters=[str(config / 'robots' / 'panda.yaml'),
-                         {'urdf': urdf, 'outputs': [output], 'rate': 250}],
-             remappings=[(output, f'/{controller}/{topic}')], output='screen'),
+        # The manager takes the URDF from the topic.
+        Node(package='robot_state_publisher', executable='robot_state_publisher', output='screen',
+             parameters=[{'robot_description': ParameterValue(description, value_type=str)}]),
+        Node(package='controller_manager', executable='ros2_control_node', output='screen',
+             parameters=[given['controllers']]),
+        *(Node(package='controller_manager', executable='spawner', output='screen',
+               arguments=[*names, '--param-file', given['controllers']])
+          for names in (('joint_state_broadcaster', active), (*inactive, '--inactive'))),
+        Node(package='redundant_planner', executable='planner_node', output='screen',
+             parameters=[given['robot'], given['params'], {'outputs': [given['output']]}],
+             remappings=[(given['output'], f'/{active}/{topic}')]),
     ]

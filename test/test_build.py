@@ -48,6 +48,8 @@ def test_everything_lies_where_ros2_looks_for_it(workspace):
     for name in ('package.xml', 'launch/demo.launch.py', 'launch/camera.launch.py',
                  'launch/two_arms.launch.py', 'config/planner/two_arms.yaml',
                  'launch/teleop.launch.py', 'config/devices/gamepad.yaml',
+                 'launch/ros2_control.launch.py', 'config/ros2_control/panda_ros2_control.xml',
+                 'config/ros2_control/panda_controllers.yaml',
                  'config/robots/paper_2p5r.urdf', 'config/scenarios/panda_camera.yaml',
                  'config/middleware/large_clouds.xml',
                  'config/robots/panda.yaml', 'config/planner/default.yaml',

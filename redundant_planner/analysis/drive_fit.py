@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,8 @@ LONGEST = 0.5
 _STARTS = (1e-3, 0.01, 0.03, 0.1)
 # What the search counts in [s].
 _SCALE = 0.01
+# A time that is within so many of its standard errors cannot be told from none.
+_TOLD = 2.0
 # A joint takes part if its commands move it this far [rad, m].
 LEAST_MOTION = 5e-3
 # An arm did something else than it was told, if more than this share of its motion is unexplained.
@@ -56,17 +59,17 @@ class DriveFit:
     """How late the drives are.
 
     Attributes:
-        lag, dead_time: τ and θ [s].
-        lag_error, dead_time_error: their standard errors [s]. One can stand in for the other in a
-            part: their sum is known better.
+        lag, dead_time: τ and θ [s]; 0 where the motion cannot tell it from none.
+        lag_error, dead_time_error: their standard errors [s]; None where that is so. One can
+            stand in for the other in a part: their sum is known better.
         noise: what is left, root mean square [rad, m].
         joints: how many took part.
     """
 
     lag: float
     dead_time: float
-    lag_error: float
-    dead_time_error: float
+    lag_error: float | None
+    dead_time_error: float | None
     noise: float
     joints: int
 
@@ -144,28 +147,55 @@ def _response(way: Array, lag: float) -> Array:
 
 
 def _fit(motion: Motion, grid: Array, way: Array, joints: npt.NDArray[np.intp]) -> DriveFit:
-    """Return the fit of some joints."""
+    """Return the fit of some joints, with as many of lag and dead time as the motion tells.
+
+    A short delay can be either, each with a large error. Then one of them alone is fitted, which
+    has a small one.
+    """
     measured, way = motion.positions[:, joints], way[:, joints]
+    both = _search(motion.times, measured, grid, way, (0, 1))
+    if both.lag_error is not None and both.dead_time_error is not None:
+        return both
+    return min((_search(motion.times, measured, grid, way, (free,)) for free in (0, 1)),
+               key=lambda fit: fit.noise)
+
+
+def _search(
+    times: Array, measured: Array, grid: Array, way: Array, free: tuple[int, ...],
+) -> DriveFit:
+    """Return the best fit of lag (0), dead time (1) or both; one that is not fitted is none.
+
+    Args:
+        times: (m,) of the measurements [s].
+        measured: (m, j) [rad, m].
+        grid: (g,) [s].
+        way: (g, j) where the commands lead [rad, m].
+        free: what is fitted.
+    """
     # Offset and drift are eliminated: what of a curve these two cannot explain is left.
-    basis, _ = np.linalg.qr(np.column_stack((np.ones(len(motion.times)), motion.times)))
+    basis, _ = np.linalg.qr(np.column_stack((np.ones(len(times)), times)))
 
     def unexplained(scaled: Array) -> Array:
-        lag, dead_time = (scaled - 1.0) * _SCALE
-        late = _response(way, float(lag))
+        late = np.zeros(2)
+        late[list(free)] = (scaled - 1.0) * _SCALE
+        behind = _response(way, float(late[0]))
         expected = np.column_stack([
-            np.interp(motion.times - dead_time, grid, column) for column in late.T])
+            np.interp(times - late[1], grid, column) for column in behind.T])
         rest = measured - expected
         return np.asarray((rest - basis @ (basis.T @ rest)).ravel())
 
-    starts = [1.0 + np.array((lag, dead)) / _SCALE for lag in _STARTS for dead in _STARTS]
+    starts = [1.0 + np.array(start) / _SCALE for start in product(_STARTS, repeat=len(free))]
     start = min(starts, key=lambda x: float(np.square(unexplained(x)).sum()))
     # The derivative's steps are a share of the value, which must not be 0 therefore.
     found = least_squares(
         unexplained, start, bounds=(1.0, 1.0 + LONGEST / _SCALE), diff_step=0.01)
-    rest, (lag, dead_time) = found.fun, (found.x - 1.0) * _SCALE
-    freedom = max(len(rest) - 2 - 2 * len(joints), 1)
-    variance = float(np.square(rest).sum()) / freedom
+    freedom = max(len(found.fun) - len(free) - 2 * measured.shape[1], 1)
+    variance = float(np.square(found.fun).sum()) / freedom
     spread = np.diag(np.linalg.pinv(found.jac.T @ found.jac))
     errors = _SCALE * np.sqrt(variance * np.maximum(spread, 0.0))
-    return DriveFit(float(lag), float(dead_time), float(errors[0]), float(errors[1]),
-                    float(np.sqrt(variance)), len(joints))
+    told = {which: (float(value), float(error))
+            for which, value, error in zip(free, (found.x - 1.0) * _SCALE, errors)
+            if value > _TOLD * error}
+    (lag, lag_error), (dead_time, dead_time_error) = (told.get(i, (0.0, None)) for i in (0, 1))
+    return DriveFit(lag, dead_time, lag_error, dead_time_error, float(np.sqrt(variance)),
+                    measured.shape[1])

@@ -8,8 +8,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from redundant_planner.core.errors import known, ParameterError, PlannerError, shown
+from redundant_planner.core.errors import known, ParameterError, shown
 from redundant_planner.io.resources import read_text, share_directory, yaml_content
+from redundant_planner.io.ros_packages import check_installed
 
 
 @dataclass(frozen=True)
@@ -71,20 +72,8 @@ def installed_drivers(
         PlannerError: packages are missing; the message has the line that installs them.
     """
     drivers = drivers_of(device)
-    prefixes = environment.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
-    missing = [driver.package for driver in drivers if not any(
-        Path(prefix, 'share', driver.package).is_dir() for prefix in prefixes if prefix)]
-    if missing:
-        raise PlannerError(f"device '{device}' needs packages that are not installed: "
-                           f'{apt_line(missing, environment)}')
+    check_installed(f"device '{device}'", [driver.package for driver in drivers], environment)
     return drivers
-
-
-def apt_line(packages: Iterable[str], environment: Mapping[str, str] = os.environ) -> str:
-    """Return the command that installs ROS packages."""
-    distribution = environment.get('ROS_DISTRO') or 'jazzy'
-    return ' '.join(['sudo apt install', *(f"ros-{distribution}-{package.replace('_', '-')}"
-                                           for package in packages)])
 
 
 def device_file(device: str) -> Path:

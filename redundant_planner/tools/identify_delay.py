@@ -19,10 +19,6 @@ from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.joint_chunks import ChosenJoints, JointChunk
 from redundant_planner.io.printable import printable
 
-# A time whose error is larger than itself, and than this, is not known [s].
-_TELLING = 0.005
-_NONE = 'none that can be told'
-
 
 def motion_of_bag(path: Path, namespace: str) -> tuple[Motion, tuple[str, ...]]:
     """Return the commands and joint states of a bag by their stamps, and the joints' names.
@@ -55,11 +51,9 @@ def motion_of_bag(path: Path, namespace: str) -> tuple[Motion, tuple[str, ...]]:
     return Motion(times[order], commands[order], *rows['joint_states'][:2]), names
 
 
-def _late(time: float, error: float) -> str:
-    """Return a time with its error [s] in ms, unless it could as well be 0."""
-    if error > max(time, _TELLING):
-        return _NONE
-    return f'{1e3 * time:.1f} ± {1e3 * error:.1f}'
+def _late(time: float, error: float | None) -> str:
+    """Return a time with its error [s] in ms; without an error it cannot be told from none."""
+    return 'none' if error is None else f'{1e3 * time:.1f} ± {1e3 * error:.1f}'
 
 
 def print_fit(console: Console, whole: DriveFit, joints: dict[str, DriveFit]) -> None:
@@ -73,10 +67,8 @@ def print_fit(console: Console, whole: DriveFit, joints: dict[str, DriveFit]) ->
             _late(fit.dead_time, fit.dead_time_error),
             f'{1e3 * (fit.lag + fit.dead_time):.1f}', f'{1e3 * fit.noise:.3f}')
     console.print(table)
-    if _NONE in (_late(whole.lag, whole.lag_error),
-                 _late(whole.dead_time, whole.dead_time_error)):
-        console.print('There is no lag that can be told from none: a longer or faster motion may '
-                      'tell more.')
+    if whole.lag_error is None and whole.dead_time_error is None:
+        console.print('The motion shows no lag that can be told from none.\n')
     console.print('For the parameter file of planner_node:\n')
     console.print(f'    drive.lag: {whole.lag:.3f}\n    drive.dead_time: {whole.dead_time:.3f}')
 

@@ -43,12 +43,28 @@ def test_lag_and_dead_time_are_found_through_noise(lag, dead_time, jitter, seed)
     whole, joints = drive_fit(driven(lag, dead_time, 1e-4, seed, jitter, 1e-3), NAMES)
     assert set(joints) == {'a', 'b'} and whole.joints == 2
     for fit in (whole, *joints.values()):
-        assert abs(fit.lag - lag) < 2e-3 + 4.0 * fit.lag_error
-        assert abs(fit.dead_time - dead_time) < 2e-3 + 4.0 * fit.dead_time_error
+        assert abs(fit.lag - lag) < 2e-3 + 4.0 * (fit.lag_error or 0.0)
+        assert abs(fit.dead_time - dead_time) < 2e-3 + 4.0 * (fit.dead_time_error or 0.0)
         # Their sum is what matters most, and is known best.
         assert abs(fit.lag + fit.dead_time - lag - dead_time) < 1.5e-3
         assert 0.5e-4 < fit.noise < 2e-4
-    assert whole.lag_error < 5e-3 and whole.dead_time_error < 5e-3
+    for time, error in ((whole.lag, whole.lag_error), (whole.dead_time, whole.dead_time_error)):
+        assert time == 0.0 if error is None else time > 2.0 * error and error < 5e-3
+
+
+@pytest.mark.parametrize('noise', [0.0, 1e-4, 1e-3])
+def test_a_time_that_cannot_be_told_from_none_is_none(noise):
+    """The other one alone is known well then."""
+    for seed in range(3):
+        at_once, _ = drive_fit(driven(0.0, 0.0, noise, seed), NAMES)
+        assert (at_once.lag, at_once.dead_time) == (0.0, 0.0)
+        assert at_once.lag_error is None and at_once.dead_time_error is None
+        late, _ = drive_fit(driven(0.0, 0.03, max(noise, 1e-4), seed), NAMES)
+        assert late.lag == 0.0 and late.lag_error is None
+        assert late.dead_time == pytest.approx(0.03, abs=5e-4) and late.dead_time_error < 1e-3
+        slow, _ = drive_fit(driven(0.03, 0.0, max(noise, 1e-4), seed), NAMES)
+        assert slow.lag == pytest.approx(0.03, abs=5e-4) and slow.lag_error < 1e-3
+        assert slow.dead_time == 0.0 and slow.dead_time_error is None
 
 
 def test_the_motion_with_most_in_it_is_taken():

@@ -13,7 +13,6 @@ import yaml
 
 from redundant_planner.core.errors import ParameterError, PlannerError
 from redundant_planner.io.devices import (
-    apt_line,
     device_file,
     device_settings,
     DEVICES,
@@ -23,6 +22,7 @@ from redundant_planner.io.devices import (
 )
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.resources import share_directory
+from redundant_planner.io.ros_packages import apt_line
 from redundant_planner.nodes.ros_parameters import changed
 
 

@@ -2,68 +2,19 @@
 
 from __future__ import annotations
 
-import runpy
-import sys
-from types import ModuleType, SimpleNamespace
-
+from launch_stand_ins import launch_file
 import pytest
 
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.devices import device_file, DEVICES, drivers_of
-from redundant_planner.io.resources import share_directory
-
-
-class Noted(SimpleNamespace):
-    """Keeps the arguments that it is made with."""
-
-    def __init__(self, *args, **kwargs):
-        super().__init__(args=args, **kwargs)
-
-    def perform(self, context):
-        """Return the value of a launch argument."""
-        return context[self.args[0]]
 
 
 @pytest.fixture
 def launch(monkeypatch, tmp_path):
     """What starts the launch file's functions with arguments, and returns the nodes."""
-    kinds = {'launch': ['LaunchDescription'],
-             'launch.actions': ['DeclareLaunchArgument', 'LogInfo', 'OpaqueFunction'],
-             'launch.conditions': ['IfCondition'], 'launch.substitutions': ['LaunchConfiguration'],
-             'launch_ros': [], 'launch_ros.actions': ['Node']}
-    made = {}
-    for module, names in kinds.items():
-        made[module] = ModuleType(module)
-        for name in names:
-            setattr(made[module], name, type(name, (Noted,), {}))
-        monkeypatch.setitem(sys.modules, module, made[module])
-    packages = ModuleType('ament_index_python.packages')
-    packages.get_package_share_directory = lambda name: str(share_directory())
-    monkeypatch.setitem(sys.modules, 'ament_index_python', ModuleType('ament_index_python'))
-    monkeypatch.setitem(sys.modules, 'ament_index_python.packages', packages)
-    for drivers in DEVICES.values():
-        for driver in drivers:
-            (tmp_path / 'share' / driver.package).mkdir(parents=True, exist_ok=True)
-    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    packages = [driver.package for drivers in DEVICES.values() for driver in drivers]
     monkeypatch.delenv('DISPLAY', raising=False)
-    file = runpy.run_path(str(share_directory() / 'launch' / 'teleop.launch.py'))
-
-    def start(**given):
-        actions = file['generate_launch_description']().args[0]
-        context = {action.args[0]: action.default_value for action in actions
-                   if hasattr(action, 'default_value')} | given
-        nodes = []
-        for action in actions:
-            condition = getattr(action, 'condition', None)
-            if condition and context[condition.args[0].args[0]] != 'true':
-                continue
-            if hasattr(action, 'function'):
-                nodes += action.function(context)
-            elif hasattr(action, 'package'):
-                nodes.append(action)
-        return nodes
-
-    return start
+    return launch_file(monkeypatch, tmp_path, 'teleop', packages)
 
 
 @pytest.mark.parametrize('device', ['gamepad', 'spacemouse'])

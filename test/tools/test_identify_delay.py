@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import subprocess
 import sys
@@ -12,28 +11,28 @@ from conftest import PANDA_READY, PANDA_URDF, ROBOTS
 from live_helpers import LIVE, PATIENCE, station
 import numpy as np
 import pytest
-from rich.console import Console
 
-from redundant_planner.analysis.drive_fit import DriveFit
 from redundant_planner.io.bag_writer import BagWriter
-from redundant_planner.tools.identify_delay import main as identify_delay, print_fit
+from redundant_planner.tools.identify_delay import main as identify_delay
 from redundant_planner.tools.to_and_fro import swing
 
 DT, LATE = 0.004, 5
 NAMES = ('a', 'b')
 
 
-def write_bag(path, topics=('joint_states', 'joint_command'), held=False):
-    """Record an arm that follows its commands five ticks later, or does not follow."""
+def write_bag(path, topics=('joint_states', 'joint_command'), held=False, late=LATE, noise=0.0):
+    """Record an arm that follows its commands some ticks later, or does not follow."""
+    random = np.random.default_rng(5)
     q = np.zeros(2)
-    told = [np.zeros(2)] * LATE
+    told = [np.zeros(2)] * late
     with BagWriter(path) as bag:
         for topic in topics:
             bag.add_topic(f'/{topic}', KINDS[topic])
         for i in range(1000):
             dq = np.array([1.0, -0.5]) * swing(0.2, 3.5, DT * i)
             if 'joint_states' in topics:
-                bag.write_joints('/joint_states', ns(DT * i), NAMES, q, dq)
+                bag.write_joints('/joint_states', ns(DT * i), NAMES,
+                                 q + noise * random.normal(size=2), dq)
             if 'joint_command' in topics:
                 bag.write_joints('/joint_command', ns(DT * i), NAMES, q, dq)
             told.append(dq)
@@ -50,6 +49,16 @@ def test_a_bag_tells_how_late_the_arm_is(tmp_path, capsys):
     assert set(found['joints']) == set(NAMES)
     assert found['all']['lag'] + found['all']['dead_time'] == pytest.approx(DT * LATE, abs=1e-3)
     assert found['all']['dead_time'] == pytest.approx(DT * LATE, abs=3e-3)
+
+
+def test_no_lag_is_said_to_be_none(tmp_path, capsys):
+    path, file = write_bag(tmp_path / 'run', late=0, noise=1e-4), tmp_path / 'delay.json'
+    assert identify_delay([str(path), '--json', str(file)]) == 0
+    out = capsys.readouterr().out
+    assert 'no lag that can be told from none' in out and '±' not in out
+    assert 'drive.lag: 0.000' in out and 'drive.dead_time: 0.000' in out
+    whole = json.loads(file.read_text())['all']
+    assert whole['lag_error'] is None and whole['dead_time_error'] is None
 
 
 @pytest.mark.parametrize('bag, message', [
@@ -103,16 +112,3 @@ class TestLive:
         # Beside its dead time, the way of the messages and up to a period of the states.
         assert 0.028 < found['lag'] + found['dead_time'] < 0.045
         assert found['joints'] >= 3
-
-
-def test_a_lag_that_is_less_sure_than_long_is_not_given():
-    sure = DriveFit(0.0, 0.02, 0.001, 0.001, 1e-4, 2)
-    unsure = DriveFit(0.0, 0.008, 0.2676, 0.002, 1e-4, 1)
-    said = []
-    for whole in (sure, unsure):
-        console = Console(record=True, width=120, file=io.StringIO())
-        print_fit(console, whole, {'a': whole})
-        said.append(console.export_text())
-    assert '0.0 ± 1.0' in said[0] and 'no lag' not in said[0]
-    assert '267.6' not in said[1] and 'none that can be told' in said[1]
-    assert 'There is no lag that can be told from none' in said[1] and '8.0 ± 2.0' in said[1]
