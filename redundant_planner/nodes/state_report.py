@@ -34,18 +34,21 @@ class LoopState:
         hold: why the arm is at rest or being brought to rest, empty while the planner moves it.
         fault: whether `hold` is a fault, rather than the start or the operator's wish.
         trouble: what is wrong with the inputs without holding the arm.
+        unheard: which outputs nobody hears.
         result: of the last tick, None before the first.
         tick_times: of the ticks since the last report [s].
         overruns: ticks that took longer than the period, since the start.
         jerk_given_up: ticks in which the jerk limits gave way to a clearance, since the start.
         faults, last_fault: number of unforeseen exceptions since the start, and the latest one.
         last_word: state of the process that stops the arm should this one die.
+        listeners: output → number of its listeners.
         joint_state_age, command_age, obstacle_age: [s], infinite before the first message.
     """
 
     hold: str = 'waiting for joint_states'
     fault: bool = False
     trouble: str = ''
+    unheard: str = ''
     result: StepResult | None = None
     tick_times: deque[float] = field(default_factory=lambda: deque(maxlen=_TICKS))
     overruns: int = 0
@@ -53,6 +56,7 @@ class LoopState:
     faults: int = 0
     last_fault: str = ''
     last_word: str = 'starting'
+    listeners: dict[str, int] = field(default_factory=dict)
     joint_state_age: float = np.inf
     command_age: float = np.inf
     obstacle_age: float = np.inf
@@ -79,8 +83,8 @@ def status_of(
     if state.hold:
         status.level = DiagnosticStatus.ERROR if state.fault else DiagnosticStatus.WARN
         status.message = state.hold
-    elif state.trouble or reason:
-        status.level, status.message = DiagnosticStatus.WARN, state.trouble or reason
+    elif warning := state.trouble or state.unheard or reason:
+        status.level, status.message = DiagnosticStatus.WARN, warning
     else:
         status.level, status.message = DiagnosticStatus.OK, 'planning'
     values = {
@@ -95,6 +99,7 @@ def status_of(
         'faults': str(state.faults),
         'last fault': state.last_fault,
         'last word': state.last_word,
+        'listeners': ', '.join(f'{name}: {count}' for name, count in state.listeners.items()),
         'age of joint_states [s]': f'{state.joint_state_age:.3f}',
         'age of cmd_vel [s]': f'{state.command_age:.3f}',
         'age of obstacles [s]': f'{state.obstacle_age:.3f}',
