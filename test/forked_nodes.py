@@ -19,8 +19,10 @@ import sys
 from redundant_planner.nodes.child_processes import die_with, Processes, ros_arguments
 
 FORKS = get_context('forkserver')
+# Nodes that only tests have.
+_OF_TESTS = ('ros2_control_stand_in',)
 FORKS.set_forkserver_preload([
-    __name__, *(f'redundant_planner.nodes.{node}' for node in (
+    __name__, *_OF_TESTS, *(f'redundant_planner.nodes.{node}' for node in (
         'planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
         'depth_camera', 'mujoco_hardware_node'))])
 
@@ -33,7 +35,7 @@ class ForkedProcesses(Processes):
         values: Mapping[str, object] | None = None, remap: Mapping[str, str] | None = None,
         name: str = '', options: Sequence[str] = (),
     ) -> Forked | subprocess.Popen[bytes]:
-        """Start a node of this package; arguments as in `Processes.start`."""
+        """Start a node of this package or of its tests; arguments as in `Processes.start`."""
         if isinstance(node, Path):  # a script, which gets an interpreter of its own
             return super().start(node, files, values, remap, name, options)
         child = Forked(node, [*options, *ros_arguments(files, values, remap)],
@@ -91,4 +93,5 @@ def _run(node: str, arguments: list[str], environment: dict[str, str], stderr: P
     if stderr is not None:
         os.dup2(os.open(stderr, os.O_WRONLY | os.O_CREAT), 2)
     sys.argv = [node, *arguments]
-    sys.exit(importlib.import_module(f'redundant_planner.nodes.{node}').main())
+    module = node if node in _OF_TESTS else f'redundant_planner.nodes.{node}'
+    sys.exit(importlib.import_module(module).main())

@@ -11,6 +11,7 @@ from redundant_planner.core.errors import ParameterError
 from redundant_planner.core.obstacles.workspace import walls
 from redundant_planner.core.parameters import check, parameter
 
+JOINT_COMMAND = 'joint_command'
 POSITION_COMMANDS = 'position_commands'
 VELOCITY_COMMANDS = 'velocity_commands'
 JOINT_TRAJECTORY = 'joint_trajectory'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 from collections.abc import Sequence
+import time
 
 from builtin_interfaces.msg import Time
 import numpy as np
@@ -14,35 +15,36 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from redundant_planner.io.node_parameters import JOINT_TRAJECTORY, POSITION_COMMANDS
+from redundant_planner.io.node_parameters import (
+    JOINT_COMMAND,
+    JOINT_TRAJECTORY,
+    POSITION_COMMANDS,
+    VELOCITY_COMMANDS,
+)
 from redundant_planner.nodes.joint_messages import JointWriter
 
 Array = npt.NDArray[np.float64]
 
-
-# A trajectory reaches its point after so many periods: the next one comes before it ends, so the
-# controller never stands still in between.
-TRAJECTORY_PERIODS = 2
-
-
-def trajectory_point(positions: Array, velocities: Array, period: float) -> Array:
-    """Return where a command leads in `TRAJECTORY_PERIODS` (n,) [rad, m].
-
-    joint_trajectory_controller refuses a last point with a velocity, so there is none: positions,
-    which are due at the end of this period, are carried on by another one.
-
-    Args:
-        positions, velocities: (n,) of the command [rad, m; per s].
-        period: between commands [s].
-    """
-    return positions + (TRAJECTORY_PERIODS - 1) * period * velocities
+# Where a command may move an arm for ever, so that a planner which dies owes a stop. The other
+# outputs are positions: the arm has reached the last one, or will, and stands there.
+NEVER_ENDING = (JOINT_COMMAND, VELOCITY_COMMANDS)
+# joint_trajectory_controller interpolates from where the arm is and asks one period ahead. A point
+# that is due after so many periods, and lies where the arm would be by then, leads it there at an
+# even speed, and on for a period if the next message is late.
+_REACH = 2
 
 
 class CommandOutput:
-    """Publishes each command on joint_command and on the other outputs."""
+    """Publishes each command on joint_command and on the other outputs.
+
+    Attributes:
+        moved_at: when a motion was first commanded, by the system's monotonic clock; infinite
+            before [s].
+    """
 
     def __init__(
         self, node: Node, joint_names: Sequence[str], outputs: Sequence[str], period: float,
+        position_min: Array, position_max: Array,
     ) -> None:
         """Create the publishers.
 
@@ -51,42 +53,56 @@ class CommandOutput:
             joint_names: the n joints.
             outputs: out of `OUTPUTS`; each is the name of its topic.
             period: between commands [s].
+            position_min, position_max: (n,) which no trajectory leads beyond [rad, m].
         """
-        self._publisher = node.create_publisher(JointState, 'joint_command', 10)
+        self.moved_at = np.inf
+        self._publisher = node.create_publisher(JointState, JOINT_COMMAND, 10)
         self._writer = JointWriter(joint_names)
         self._others = {
             name: node.create_publisher(
                 JointTrajectory if name == JOINT_TRAJECTORY else Float64MultiArray, name, 10)
             for name in outputs}
-        self._publishers = [self._publisher, *self._others.values()]
+        self._period, self._min, self._max = period, position_min, position_max
+        # Without a stamp a trajectory begins on arrival.
         self._trajectory = JointTrajectory(joint_names=list(joint_names))
-        self._period = period
-        self._reach = Duration(seconds=TRAJECTORY_PERIODS * period).to_msg()
+        self._trajectory.header.stamp = Time()
+        self._due = Duration(seconds=_REACH * period).to_msg()
 
     def publish(self, stamp_ns: int, positions: Array, velocities: Array) -> None:
-        """Publish a command, (n,) each [rad, m; per s]."""
+        """Publish a command, (n,) each.
+
+        Args:
+            stamp_ns: of the message [ns].
+            positions: where the arm should be one period from now [rad, m].
+            velocities: [rad/s, m/s].
+        """
         self._publisher.publish(self._writer.message(stamp_ns, positions, velocities))
-        if not self._others:
-            return
-        # rclpy checks lists number by number, arrays not at all.
-        position, velocity = (
-            array.array('d', values.tobytes()) for values in (positions, velocities))
+        if self.moved_at == np.inf and velocities.any():
+            self.moved_at = time.monotonic()
         for name, publisher in self._others.items():
             if name == JOINT_TRAJECTORY:
-                # Without a stamp the trajectory begins on arrival.
-                self._trajectory.header.stamp = Time()
-                self._trajectory.points = [JointTrajectoryPoint(
-                    positions=array.array('d', trajectory_point(
-                        positions, velocities, self._period).tobytes()),
-                    time_from_start=self._reach)]
-                publisher.publish(self._trajectory)
+                publisher.publish(self._trajectory_to(positions, velocities))
             else:
-                publisher.publish(Float64MultiArray(
-                    data=position if name == POSITION_COMMANDS else velocity))
+                publisher.publish(Float64MultiArray(data=_numbers(
+                    positions if name == POSITION_COMMANDS else velocities)))
 
-    def listeners(self) -> int:
-        """Return how many subscriptions to all outputs have found their publishers."""
-        return sum(int(publisher.get_subscription_count()) for publisher in self._publishers)
+    def _trajectory_to(self, positions: Array, velocities: Array) -> JointTrajectory:
+        """Return the trajectory that carries a command on until its point is due.
+
+        The point has no velocities: joint_trajectory_controller refuses a last point that moves.
+        """
+        reached = positions + (_REACH - 1) * self._period * velocities
+        # An arm outside its range is not pulled back by this either.
+        reached = np.clip(reached, np.minimum(self._min, positions),
+                          np.maximum(self._max, positions))
+        self._trajectory.points = [JointTrajectoryPoint(
+            positions=_numbers(reached), time_from_start=self._due)]
+        return self._trajectory
+
+    def listeners(self) -> dict[str, int]:
+        """Return how many subscriptions have found the publisher of each output."""
+        return {name: int(publisher.get_subscription_count()) for name, publisher in (
+            (JOINT_COMMAND, self._publisher), *self._others.items())}
 
     def unheard(self) -> list[str]:
         """Return the topics that nobody listens to; joint_command counts if there is no other."""
@@ -96,5 +112,12 @@ class CommandOutput:
 
     def wait_until_heard(self, seconds: float) -> None:
         """Wait until reliable listeners have acknowledged the last command, or the time is up."""
-        for publisher in self._publishers:
-            publisher.wait_for_all_acked(Duration(seconds=seconds))
+        deadline = time.monotonic() + seconds
+        for publisher in (self._publisher, *self._others.values()):
+            publisher.wait_for_all_acked(
+                Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+
+
+def _numbers(values: Array) -> array.array[float]:
+    """Return an array that rclpy takes as it is; it checks lists number by number."""
+    return array.array('d', values.tobytes())

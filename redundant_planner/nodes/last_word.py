@@ -103,8 +103,8 @@ class LastWord:
         """Return `STARTING`, `READY`, or why no process would stop the arm.
 
         Args:
-            listeners: how many subscribe to the planner's joint_command; the other process is
-                ready when as many have found it.
+            listeners: how many subscribe to the planner's outputs that owe a stop; the other
+                process is ready when as many have found it.
         """
         if not self._trouble and self._memory is not None:
             NUMBER.pack_into(self._memory, PLANNERS_LISTENERS, listeners)

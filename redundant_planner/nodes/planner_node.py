@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 import time
@@ -21,14 +21,15 @@ from visualization_msgs.msg import MarkerArray
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.node_parameters import PlannerNodeParameters
+from redundant_planner.io.node_parameters import JOINT_COMMAND, PlannerNodeParameters
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.payload import Payload
 from redundant_planner.nodes import runtime
+from redundant_planner.nodes.audience import Audience
 from redundant_planner.nodes.chores import Chores
 from redundant_planner.nodes.command_input import CommandInput
-from redundant_planner.nodes.command_output import CommandOutput
+from redundant_planner.nodes.command_output import CommandOutput, NEVER_ENDING
 from redundant_planner.nodes.command_pacer import wake_up_in_time
 from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.endable_node import EndableNode
@@ -82,6 +83,8 @@ class PlannerNode(EndableNode):
         self._warn = ThrottledLog(self.get_logger().warning)
         self._chores = Chores(self.guard)
         self._settings = Settings.declared(self)
+        # Who listens to a controller's topic need not listen to joint_command.
+        self._audience = Audience(self._topics(self._settings.node.outputs or [JOINT_COMMAND]))
         self._settings.obstacles()  # refused now rather than when the robot is known
         self._startup: Startup | None = Startup(
             self, self._settings.robot, self._settings.capsules, self._warn, self._start)
@@ -106,13 +109,16 @@ class PlannerNode(EndableNode):
     def _brief(self, robot: Robot) -> Brief:
         """Return what the second process must know to stop the arm in this node's place."""
         settings = self._settings.node
+        outputs = [name for name in settings.outputs if name in NEVER_ENDING]
         return Brief(
-            self.get_name(), self.get_namespace(),
-            {name: self.resolve_topic_name(name)
-             for name in ('joint_command', *settings.outputs)},
-            settings.outputs, robot.joint_names, robot.position_min.tolist(),
+            self.get_name(), self.get_namespace(), self._topics((JOINT_COMMAND, *outputs)),
+            outputs, robot.joint_names, robot.position_min.tolist(),
             robot.position_max.tolist(), robot.acceleration_max.tolist(),
             robot.jerk_max.tolist(), 1.0 / settings.rate, settings.thread_priority)
+
+    def _topics(self, outputs: Sequence[str]) -> dict[str, str]:
+        """Return output → topic that it is published on."""
+        return {name: self.resolve_topic_name(name) for name in outputs}
 
     def _make_loop(self, planner: Planner | PaperPlanner) -> ControlLoop:
         """Return the loop with its inputs and its output."""
@@ -135,7 +141,9 @@ class PlannerNode(EndableNode):
             planner, settings, clock=clock, command=command,
             obstacles=ObstacleInput(topics, tracker, period, self.guard, self._warn),
             attached=Payload(robot),
-            output=CommandOutput(self, robot.joint_names, settings.outputs, period),
+            output=CommandOutput(
+                self, robot.joint_names, settings.outputs, period, robot.position_min,
+                robot.position_max),
             last_word=self._last_word, guard=self.guard, warn=self._warn, publish_tick=None
             if ticks is None else lambda row: ticks.publish(Float64MultiArray(data=row)))
 
@@ -263,12 +271,19 @@ class PlannerNode(EndableNode):
             self.loop.refuse_time(reason)
 
     def _look_around(self) -> None:
-        """See which nodes publish on this one's topics, and whether its last word is sure."""
+        """See who publishes on this node's topics, who listens, and if its last word is sure."""
         assert self.loop is not None
         self.loop.supervisor.found_publishers(
             publishers_of(self, 'joint_command'), publishers_of(self, 'cmd_vel'))
-        state, before = self.loop.state, self.loop.state.last_word
-        state.last_word = self._last_word.state(self.loop.output.listeners())
+        output, state = self.loop.output, self.loop.state
+        state.listeners, before = output.listeners(), state.unheard
+        state.unheard = self._audience.missing(
+            state.listeners, time.monotonic() - output.moved_at)
+        if state.unheard not in (before, ''):
+            self._warn(state.unheard)
+        before = state.last_word
+        state.last_word = self._last_word.state(
+            sum(state.listeners.get(name, 0) for name in NEVER_ENDING))
         if state.last_word not in (before, READY, STARTING):
             self._warn(f'without a last word: {state.last_word}; if this process died in motion, '
                        'its last command would stand')

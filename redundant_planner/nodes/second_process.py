@@ -62,7 +62,7 @@ class Brief:
     Attributes:
         node, namespace: the planner's.
         topics: name of an output → the topic that it is published on.
-        outputs: besides joint_command, as `CommandOutput` takes them.
+        outputs: besides joint_command, those that owe a stop (`NEVER_ENDING`).
         joint_names: n of them.
         position_min, position_max, acceleration_max, jerk_max: n each [rad, m; per s²; per s³].
         period: between commands [s].
@@ -118,11 +118,13 @@ def _wait_and_speak(pipe: int, memory: mmap.mmap, args: list[str] | None) -> Non
             brief.node + SUFFIX, namespace=brief.namespace, use_global_arguments=False,
             cli_args=['--ros-args', *remap], start_parameter_services=False,
             parameter_overrides=[Parameter('start_type_description_service', value=False)])
-        output = CommandOutput(node, brief.joint_names, brief.outputs, brief.period)
+        output = CommandOutput(
+            node, brief.joint_names, brief.outputs, brief.period, np.array(brief.position_min),
+            np.array(brief.position_max))
         runtime.request_priority(brief.priority)
         memory[STATE] = HAS_STARTED
         while not select.select([lines], [], [], _LOOK)[0]:
-            NUMBER.pack_into(memory, OWN_LISTENERS, output.listeners())
+            NUMBER.pack_into(memory, OWN_LISTENERS, sum(output.listeners().values()))
         if lines.readline() != END:
             commands = CommandMemory(memory)
             commands.prepare(len(brief.joint_names))
@@ -145,7 +147,7 @@ def speak(
         brief: about the planner and its robot.
         last: command that was noted.
         output: takes the commands.
-        listeners: how many must find the output before the stop is published.
+        listeners: how many must find the outputs before the stop is published.
         clock, sleep: of the system [s].
     """
     dq, positions = last.velocities, last.positions
@@ -169,7 +171,7 @@ def speak(
         due = now + brief.period
         publish(now)
     enough = clock() + _FOUND
-    while output.listeners() < listeners and clock() < enough:
+    while sum(output.listeners().values()) < listeners and clock() < enough:
         sleep(PAUSE)
     for _ in range(STOPS):
         sleep(PAUSE)

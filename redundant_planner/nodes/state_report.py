@@ -39,12 +39,14 @@ class LoopState:
         fault: whether `hold` is a fault, rather than the start or the operator's wish.
         trouble: what is wrong with the inputs without holding the arm.
         astray: why the arm did not follow, until it does.
+        unheard: which outputs nobody hears.
         result: of the last tick, None before the first.
         tick_times: of the ticks since the last report [s].
         overruns: ticks that took longer than the period, since the start.
         jerk_given_up: ticks in which the jerk limits gave way to a clearance, since the start.
         faults, last_fault: number of unforeseen exceptions since the start, and the latest one.
         last_word: state of the process that stops the arm should this one die.
+        listeners: output → number of its listeners.
         joint_state_age, command_age, obstacle_age: [s], infinite before the first message.
     """
 
@@ -52,6 +54,7 @@ class LoopState:
     fault: bool = False
     trouble: str = ''
     astray: str = ''
+    unheard: str = ''
     result: StepResult | None = None
     tick_times: deque[float] = field(default_factory=lambda: deque(maxlen=_TICKS))
     overruns: int = 0
@@ -59,6 +62,7 @@ class LoopState:
     faults: int = 0
     last_fault: str = ''
     last_word: str = 'starting'
+    listeners: dict[str, int] = field(default_factory=dict)
     joint_state_age: float = np.inf
     command_age: float = np.inf
     obstacle_age: float = np.inf
@@ -87,8 +91,8 @@ def status_of(
         status.message = state.hold
     elif state.astray:
         status.level, status.message = DiagnosticStatus.ERROR, state.astray
-    elif state.trouble or reason:
-        status.level, status.message = DiagnosticStatus.WARN, state.trouble or reason
+    elif warning := state.trouble or state.unheard or reason:
+        status.level, status.message = DiagnosticStatus.WARN, warning
     else:
         status.level, status.message = DiagnosticStatus.OK, 'planning'
     values = {
@@ -103,6 +107,7 @@ def status_of(
         'faults': str(state.faults),
         'last fault': state.last_fault,
         'last word': state.last_word,
+        'listeners': ', '.join(f'{name}: {count}' for name, count in state.listeners.items()),
         'age of joint_states [s]': f'{state.joint_state_age:.3f}',
         'age of cmd_vel [s]': f'{state.command_age:.3f}',
         'age of obstacles [s]': f'{state.obstacle_age:.3f}',

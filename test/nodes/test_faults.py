@@ -222,8 +222,8 @@ def test_stamped_commands_in_the_tips_frame_and_the_other_outputs():
         assert len(heard['velocity_commands'][-1].data) == 7
         trajectory = heard['joint_trajectory'][-1]
         assert trajectory.joint_names == list(last.name)
-        assert trajectory.points[0].time_from_start.nanosec == 8_000_000
-        assert not len(trajectory.points[0].velocities)  # or the controller refuses it
+        point, = trajectory.points
+        assert point.time_from_start.nanosec == 8_000_000 and not point.velocities
 
 
 def test_markers_show_the_planners_world_to_whoever_looks():

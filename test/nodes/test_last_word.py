@@ -28,7 +28,7 @@ class Listener:
         self.now += seconds
 
     def listeners(self):
-        return int(self.now >= self.found_at)
+        return {'joint_command': int(self.now >= self.found_at)}
 
     def publish(self, stamp_ns, positions, velocities):
         self.heard.append((self.now, stamp_ns, positions, velocities))

@@ -1,0 +1,164 @@
+"""What ros2_control's controllers make of a motion that the planner commands, without any node."""
+
+from __future__ import annotations
+
+from copy import copy
+from types import SimpleNamespace
+
+from hypothesis import given, strategies as st
+import numpy as np
+import pytest
+from ros2_control_stand_in import Manager, Point, POSITION, Settings, TRAJECTORY, VELOCITY
+
+from redundant_planner.core.safety.jerk import SmoothStop
+from redundant_planner.io.node_parameters import OUTPUTS
+from redundant_planner.nodes.audience import Audience, FOUND_WITHIN
+from redundant_planner.nodes.command_output import CommandOutput
+from redundant_planner.nodes.messages import seconds_of
+
+NAMES, T = ('a', 'b'), 0.004
+ACCELERATION, JERK = np.array([15.0, 7.5]), np.array([7500.0, 3750.0])
+TOP = np.array([0.5, -0.3])
+
+
+class Topic(list):
+    """A publisher that keeps what it publishes."""
+
+    def publish(self, message):
+        self.append(copy(message))
+
+
+def output(topics, low=-2.0, high=2.0):
+    def create_publisher(kind, name, depth):
+        topics[name] = Topic()
+        return topics[name]
+
+    return CommandOutput(SimpleNamespace(create_publisher=create_publisher), NAMES, OUTPUTS, T,
+                         np.full(2, low), np.full(2, high))
+
+
+def motion():
+    """Velocities from rest and back, the braking being the planner's own stop."""
+    up = TOP * np.sin(np.linspace(0.0, 0.5 * np.pi, 60))[:, None]**2
+    stop = SmoothStop(ACCELERATION, JERK, T)
+    velocities = [*up, *[TOP] * 200]
+    for dq in velocities:
+        stop.moving(dq)
+    while velocities[-1].any():
+        velocities.append(stop.next())
+    return np.array([*velocities, *[np.zeros(2)] * 20])
+
+
+VELOCITIES = motion()
+# When each would arrive if the way took no time [s].
+TIMES = np.arange(len(VELOCITIES)) * T
+
+
+def published():
+    """Return name of a topic → all that is published there during the motion."""
+    topics = {}
+    to, q = output(topics), np.zeros(2)
+    for dq in VELOCITIES:
+        q = q + dq * T
+        to.publish(0, q, dq)
+    return topics
+
+
+PUBLISHED = published()
+
+
+def follow(controller, arrivals, manager_period=T):
+    """Have a controller take messages that arrive at times.
+
+    Returns the velocities (cycles, 2), and how far from the end of the motion the arm stands.
+    """
+    arm = Manager(NAMES, np.zeros(2), controller, NAMES, manager_period, Settings())
+    messages = PUBLISHED['joint_trajectory' if controller == TRAJECTORY
+                         else f'{controller}_commands']
+    arrived, moved = 0, []
+    for i in range(int(arrivals[-1] / manager_period) + 10):
+        while arrived < len(arrivals) and arrivals[arrived] <= i * manager_period:
+            message, arrived = messages[arrived], arrived + 1
+            if controller == TRAJECTORY:
+                assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)
+                point, = message.points
+                arm.trajectory(message.joint_names, [Point(
+                    seconds_of(point.time_from_start), point.positions, point.velocities)])
+            else:
+                arm.forward(message.data)
+        arm.cycle()
+        moved.append(arm.dq)
+    assert not arm.refused
+    return np.array(moved), np.abs(arm.q - VELOCITIES.sum(axis=0) * T).max()
+
+
+def while_moving(moved):
+    begin, end = np.flatnonzero(np.abs(moved).max(axis=1) > 0.01)[[0, -1]]
+    return np.abs(moved[begin:end]).max(axis=1)
+
+
+def roughness(velocities):
+    """The root mean square of the accelerations."""
+    return np.sqrt(np.square(np.diff(velocities, axis=0) / T).mean())
+
+
+@pytest.mark.parametrize('phase', [0.1, 0.5, 0.9])
+@pytest.mark.parametrize('controller', [VELOCITY, POSITION, TRAJECTORY])
+def test_at_equal_rates_the_arm_moves_as_evenly_as_it_is_told_to(controller, phase):
+    moved, left = follow(controller, TIMES + phase * T)
+    assert roughness(moved) <= 1.3 * roughness(VELOCITIES)
+    assert (while_moving(moved) > 0.005).all()
+    assert left < 1e-6 and np.abs(moved[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize('manager_rate', [500.0, 1000.0])
+def test_a_faster_manager_fills_the_trajectorys_gaps_and_not_those_between_positions(manager_rate):
+    moved, _ = follow(TRAJECTORY, TIMES + 0.1 * T, 1.0 / manager_rate)
+    assert (while_moving(moved) > 0.005).all()
+    assert np.abs(moved).max() < 1.01 * np.abs(TOP).max()
+    moved, _ = follow(POSITION, TIMES + 0.1 * T, 1.0 / manager_rate)
+    assert np.mean(while_moving(moved) < 1e-9) > 0.45
+
+
+@given(st.integers(70, 200), st.floats(0.1, 0.9))
+def test_a_trajectory_does_not_stand_still_when_one_message_comes_late(late, phase):
+    arrivals = TIMES + phase * T
+    arrivals[late] = arrivals[late + 1]
+    moved, left = follow(TRAJECTORY, arrivals)
+    assert (np.abs(moved[70:200]).max(axis=1) > 0.99 * np.abs(TOP).max()).all()
+    assert np.abs(moved).max() < 1.01 * np.abs(TOP).max() and left < 1e-6
+
+
+@given(st.floats(-0.2, 0.2), st.floats(-2.0, 2.0))
+def test_no_trajectory_leads_beyond_the_limits_or_further_out(position, velocity):
+    topics = {}
+    output(topics, -0.1, 0.1).publish(0, np.full(2, position), np.full(2, velocity))
+    (point,), = (message.points for message in topics['joint_trajectory'])
+    reached = position + velocity * T
+    bound = max(0.1, abs(position))
+    assert list(point.positions) == pytest.approx([min(max(reached, -bound), bound)] * 2)
+
+
+def test_outputs_that_nobody_hears_are_named_once_the_arm_should_move():
+    audience = Audience({'velocity_commands': '/velocity_commands',
+                         'joint_trajectory': '/jtc/joint_trajectory'})
+    nobody = {'joint_command': 1, 'velocity_commands': 0, 'joint_trajectory': 0}
+    both = dict.fromkeys(nobody, 1)
+    assert audience.missing(nobody, -np.inf) == ''
+    assert audience.missing(nobody, 0.5 * FOUND_WITHIN) == ''
+    assert audience.missing(nobody, FOUND_WITHIN) == (
+        "nobody listens to velocity_commands on /velocity_commands: load the controller, or remap "
+        "velocity_commands to the controller's topic; nobody listens to joint_trajectory on "
+        '/jtc/joint_trajectory: load the controller, or remap joint_trajectory to the '
+        "controller's topic")
+    assert audience.missing(both, 3.0) == ''
+    assert audience.missing(both | {'velocity_commands': 0}, 3.5) == (
+        'nobody listens to velocity_commands on /velocity_commands any more: load the controller, '
+        "or remap velocity_commands to the controller's topic")
+
+
+def test_a_listener_that_leaves_is_missed_at_once():
+    audience = Audience({'joint_command': '/joint_command'})
+    assert audience.missing({'joint_command': 1}, 0.1) == ''
+    assert audience.missing({'joint_command': 0}, 0.6).startswith(
+        'nobody listens to joint_command on /joint_command any more: load the driver')
