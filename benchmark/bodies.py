@@ -21,6 +21,7 @@ from redundant_planner.core.obstacles.obstacle import (
 )
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.pinocchio_model import link_id
+from redundant_planner.io.mesh_units import with_meshes_in_metres
 
 Array = npt.NDArray[np.float64]
 Pairs = Sequence[tuple[int, int]]
@@ -80,10 +81,9 @@ def meshes_of(robot: Robot, urdf: Path) -> Bodies:
         robot: the arm; its first capsule's link and all links after it count, the base does not.
         urdf: the file it was read from: its packages lie in a folder above.
     """
-    model = pin.buildModelFromUrdf(str(urdf))
-    folders = [str(folder) for folder in urdf.parents]
-    geometry = pin.buildGeomFromUrdf(
-        model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
+    text = with_meshes_in_metres(urdf.read_text(), urdf.parent)
+    model = pin.buildModelFromXML(text)
+    geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     posture = pin.neutral(model)
     for name in model.names:
         if 'finger' in name:

@@ -14,6 +14,7 @@ import pinocchio as pin
 from redundant_planner.core.errors import known, PlannerError, RobotError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.urdf import LARGEST, Numbers, numbers, read_urdf
+from redundant_planner.io.mesh_units import mesh_scale
 from redundant_planner.io.resources import resolve
 
 Array = npt.NDArray[np.float64]
@@ -36,7 +37,7 @@ class CollisionElement(NamedTuple):
         joint: name of the chain joint that carries it.
         xyz, rpy: (3,) the shape in the link's frame [m, rad].
         kind: sphere, box, cylinder, capsule or mesh.
-        sizes: of the shape [m]; a mesh's scale.
+        sizes: of the shape [m]; a mesh's scale, its file's unit included.
         mesh: the file, empty for the other shapes.
     """
 
@@ -118,9 +119,7 @@ def _element(
             mesh = resolve(shape.get('filename', ''), folder)
         except PlannerError as error:
             raise RobotError(f"mesh of link '{link}': {error}") from None
-        scale = numbers(shape, 'scale', f"the mesh of link '{link}'", default=(1.0, 1.0, 1.0))
-        if 0.0 in scale:
-            raise RobotError(f"the mesh of link '{link}' has a scale of 0")
+        scale = mesh_scale(shape, mesh, f"the mesh of link '{link}'")
         return CollisionElement(link, joint, xyz, rpy, 'mesh', scale, str(mesh))
     if shape.tag not in _SIZES:
         raise RobotError(f"the {what} has a <{shape.tag[:60]}>, which no capsule can be fitted "

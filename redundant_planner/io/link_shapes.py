@@ -74,6 +74,27 @@ def fitted_capsules(robot: Robot, folder: Path | None, *, cache: bool = True) ->
     return fits
 
 
+def larger_than_the_rest(robot: Robot) -> list[str]:
+    """Return a sentence for each capsule that is longer than the arm without its link.
+
+    Those are meshes whose lengths are not metres. A link counts by its capsules, and by how far
+    it carries the next joint.
+    """
+    joints = robot.chain.capsule_joint
+    lengths = np.array([float(np.linalg.norm(c.end - c.start)) + 2.0 * c.radius
+                        for c in robot.capsules])
+    carried = np.linalg.norm([*robot.chain.offset[1:], robot.chain.tip_from_joint], axis=1)
+    said = []
+    for c, joint, length in zip(robot.capsules, joints, lengths):
+        shapes = np.bincount(joints[joints != joint], lengths[joints != joint], robot.n + 1)[1:]
+        rest = float(np.maximum(shapes, carried).sum())
+        if length > rest:
+            said.append(
+                f"the shape of link '{c.name}' is {length:.3g} m long, the rest of the arm "
+                f'{rest:.3g} m: are the lengths in its mesh metres, and is its scale right?')
+    return said
+
+
 def _fit(robot: Robot, pieces: Iterable[Piece]) -> Iterable[Fit]:
     from redundant_planner.core.robot.capsule_fit import convex_hull, fit_body, merged, Shape
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.resources import resolve
+from redundant_planner.io.mesh_units import with_meshes_in_metres
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -44,7 +44,7 @@ def link_surfaces(robot: Robot, folder: Path | None) -> tuple[LinkSurface, ...]:
     Raises:
         PlannerError, ValueError, RuntimeError: a mesh is not there, or cannot be read.
     """
-    text = _with_files(robot.urdf, folder)
+    text = with_meshes_in_metres(robot.urdf, folder)
     model = pin.buildModelFromXML(text)
     found = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     links = {*robot.moving_links, *robot.links_at_rest}
@@ -60,16 +60,6 @@ def link_surfaces(robot: Robot, folder: Path | None) -> tuple[LinkSurface, ...]:
             surfaces.append(LinkSurface(
                 frame.name, vertices @ there.rotation.T + there.translation, triangles))
     return tuple(surfaces)
-
-
-def _with_files(urdf: str, folder: Path | None) -> str:
-    """Return a URDF whose meshes are named by absolute paths."""
-    import xml.etree.ElementTree as ET
-
-    tree = ET.fromstring(urdf)
-    for mesh in tree.findall('link/collision/geometry/mesh'):
-        mesh.set('filename', str(resolve(mesh.get('filename', ''), folder)))
-    return ET.tostring(tree, encoding='unicode')
 
 
 def _triangles(item: pin.GeometryObject) -> tuple[Array, Indices]:

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundant_planner.core.errors import ParameterError
+from redundant_planner.core.robot.urdf import read_urdf
 from redundant_planner.io.poses import pose_of
 
 # What the joint between both is called, so that nothing is mounted twice.
@@ -53,6 +54,37 @@ def mounted(urdf: str, frame: str, pose: Sequence[float]) -> str:
         ET.SubElement(added, 'child', link=root)
         ET.SubElement(added, 'origin', xyz=_text(place), rpy=_text(rpy))
     return ET.tostring(tree, encoding='unicode')
+
+
+def base_of(urdf: str, mount_frame: str, base_frame: str) -> str:
+    """Return the link that commands, obstacles and poses refer to; empty for the root.
+
+    Args:
+        urdf: a text that went through `mounted`.
+        mount_frame: where the arm stands; empty for nowhere.
+        base_frame: the link asked for; empty for none.
+
+    Raises:
+        ParameterError: the link asked for is another one than the mounted one, which both
+            parameters make the base then.
+        RobotError: the URDF is none.
+    """
+    if not mount_frame:
+        return base_frame
+    described = read_urdf(urdf)
+    before = described.joints_above(base_frame)
+    stands_at = [joint.child for joint in before if joint.name == _JOINT.format(mount_frame)]
+    # A parameter file of quick_start's names the root itself; others what lies at the same place.
+    same = bool(stands_at) and all(
+        joint.kind == 'fixed' and not any(joint.xyz + joint.rpy) for joint in before[1:])
+    if base_frame not in ('', mount_frame) and not same:
+        root = next((joint.child for joint in described.joints
+                     if joint.parent == described.root), '')
+        raise ParameterError(
+            f"parameter 'base_frame' is '{base_frame}', and 'mount_frame' is '{mount_frame}', "
+            f"where '{root}' stands at mount_pose: one of them can be the base. Leave base_frame "
+            f"empty and give the pose of '{root}', or leave mount_frame empty")
+    return mount_frame
 
 
 def _text(numbers: Iterable[float]) -> str:

@@ -83,18 +83,24 @@ class RobotParameters:
                         'planner_node holds the other joints outside the chain where '
                         'joint_states says that they are when it starts, rather than at 0: '
                         'grippers and second arms that nobody moves meanwhile.')
+    position_limits: tuple[str, ...] = parameter(
+        (), unit='rad, m',
+        description="Ranges narrower than the URDF's, as 'joint=low..high', of any joints: those "
+                    'that the drives keep to. A continuous joint gets a range by it. A joint that '
+                    'is found outside may stay there or come in.')
     velocity_max: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e4, unit='rad/s, m/s',
         description="Replaces the URDF's velocity limits: one value, or one per joint.")
     acceleration_max: tuple[float, ...] = parameter(
-        (5.0,), low=1e-6, high=1e6, unit='rad/s², m/s²',
-        description='Largest joint acceleration: one value, or one per joint. Higher than the '
-                    'drives can follow, and the arm overshoots limits and clearances.')
+        (), low=1e-6, high=1e6, unit='rad/s², m/s²',
+        description="Largest joint acceleration: one value, or one per joint. Empty for the "
+                    "URDF's (version 1.2 of the format has them), or 5 where it has none. Higher "
+                    'than the drives can follow, and the arm overshoots limits and clearances.')
     jerk_max: tuple[float, ...] = parameter(
         (), low=1e-6, unit='rad/s³, m/s³',
         description='Largest change of the acceleration: one value, or one per joint; .inf for no '
-                    'limit. Empty for 100/s times acceleration_max. Lower values move smoothly, '
-                    'and later by acceleration_max / jerk_max.')
+                    "limit. Empty for the URDF's, or 100/s times the acceleration limit where it "
+                    'has none. Lower values move smoothly, and later by acceleration / jerk.')
     link_shapes: str = parameter(
         'fitted', choices=('fitted', 'straight'),
         description="Where no capsules are listed: fitted around the URDF's collision geometry "
@@ -116,6 +122,26 @@ class RobotParameters:
                 raise ParameterError(
                     f"parameter 'locked_joints' has {shown(entry)}; it takes 'joint=position', "
                     f"a joint's name and a number [rad, m], or '{OTHERS_MEASURED}'")
+        named = [entry.partition('=')[0] for entry in self.position_limits]
+        for entry, name in zip(self.position_limits, named):
+            low, dots, high = entry.partition('=')[2].partition('..')
+            # Three dots may belong to either number.
+            if not (name and dots and is_number(low) and is_number(high)) or '...' in entry:
+                raise ParameterError(
+                    f"parameter 'position_limits' has {shown(entry)}; it takes 'joint=low..high', "
+                    "a joint's name and two numbers [rad, m]")
+            if named.count(name) > 1:
+                raise ParameterError(f"parameter 'position_limits' names {shown(name)} twice")
+
+    @property
+    def position_ranges(self) -> dict[str, tuple[float, float]]:
+        """Joint name → the lowest and highest position that `position_limits` gives [rad, m]."""
+        ranges = {}
+        for entry in self.position_limits:
+            name, _, text = entry.partition('=')
+            low, _, high = text.partition('..')
+            ranges[name] = float(low), float(high)
+        return ranges
 
     @property
     def locked(self) -> dict[str, float]:

@@ -21,8 +21,8 @@ from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.simulated_arm import joint_ranges
 from redundant_planner.core.robot.urdf import Joint, read_urdf
 from redundant_planner.io.collision_geometry import links_without_shape
-from redundant_planner.io.link_shapes import capsule_entry, fitted_capsules
-from redundant_planner.io.mount import mounted
+from redundant_planner.io.link_shapes import capsule_entry, fitted_capsules, larger_than_the_rest
+from redundant_planner.io.mount import base_of, mounted
 from redundant_planner.io.parameter_files import (
     check_keys,
     entries_of,
@@ -57,6 +57,7 @@ class Robot(model.Robot):
         position_max: (n,) [rad, m], likewise.
         velocity_max: (n,) [rad/s, m/s].
         acceleration_max, jerk_max: (n,) [rad/s², m/s²; per s³].
+        limit_sources: where each limit is from: the URDF, a parameter, or a default.
         capsules: the link shapes.
     """
 
@@ -67,8 +68,9 @@ class Robot(model.Robot):
         locked_positions: Mapping[str, float] | None = None,
         axes: Sequence[str] = AXES,
         command_frame: str = 'base',
+        position_limits: Mapping[str, tuple[float, float]] | None = None,
         velocity_max: Sequence[float] | float | None = None,
-        acceleration_max: Sequence[float] | float = 5.0,
+        acceleration_max: Sequence[float] | float | None = None,
         jerk_max: Sequence[float] | float | None = None,
         capsules: Sequence[Capsule] | None = None,
         link_radius: float | None = None,
@@ -87,10 +89,13 @@ class Robot(model.Robot):
                 outside the chain are held at 0, or at the limit nearest to it.
             axes: the controlled axes; the null space may use the others.
             command_frame: 'base' or 'tool', the axes in which a twist is expressed.
+            position_limits: joint name → its lowest and highest position [rad, m], where the
+                drives' are narrower than the URDF's.
             velocity_max: replaces the URDF's limits, one value or n [rad/s, m/s].
-            acceleration_max: one value or n [rad/s², m/s²]; a URDF has none. Ask the maker.
-            jerk_max: one value or n [rad/s³, m/s³]; None for 100/s times `acceleration_max`,
-                infinite for no limit.
+            acceleration_max: one value or n [rad/s², m/s²]; None for the URDF's, or 5 where it
+                has none. Ask the maker.
+            jerk_max: one value or n [rad/s³, m/s³]; None for the URDF's, or 100/s times the
+                acceleration limit where it has none; infinite for no limit.
             capsules: these link shapes instead of fitted ones.
             link_radius: straight capsules of this radius from joint to joint instead of fitted
                 ones [m]; 0 for bare lines.
@@ -106,13 +111,14 @@ class Robot(model.Robot):
         def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
             return cls(
                 urdf, tip_frame, base_frame=base_frame, locked_positions=locked_positions,
-                axes=axes, command_frame=command_frame, velocity_max=velocity_max,
-                acceleration_max=acceleration_max, jerk_max=jerk_max, capsules=shapes,
-                link_radius=link_radius)
+                axes=axes, command_frame=command_frame, position_limits=position_limits,
+                velocity_max=velocity_max, acceleration_max=acceleration_max, jerk_max=jerk_max,
+                capsules=shapes, link_radius=link_radius)
 
         if capsules is not None or link_radius is not None:
             return robot_with(capsules)
-        return robot_with(_fitted(robot_with([]), file.parent, warnings.warn))
+        return _looked_at(
+            robot_with(_fitted(robot_with([]), file.parent, warnings.warn)), warnings.warn)
 
     @classmethod
     def from_file(cls, path: str | Path, **changes: Any) -> Robot:
@@ -143,7 +149,7 @@ def build_robot(
         capsules: name → {frame, start, end, radius}.
         folder: that a relative `parameters.urdf` refers to.
         say: takes a sentence before something that lasts some seconds.
-        warn: takes a sentence about links that nothing protects.
+        warn: takes a sentence about links that nothing protects, or that are suspiciously large.
 
     Raises:
         RobotError, ObstacleError, ParameterError: with what is wrong.
@@ -153,17 +159,18 @@ def build_robot(
         raise ParameterError("parameter 'tip_frame' is empty; name the URDF link that is the "
                              'end effector')
     urdf = mounted(urdf, p.mount_frame, p.mount_pose)
+    base_frame = base_of(urdf, p.mount_frame, p.base_frame)
 
     def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
         return Robot(
-            urdf, p.tip_frame, base_frame=p.base_frame or p.mount_frame,
-            locked_positions=p.locked,
-            axes=p.axes, command_frame=p.command_frame, velocity_max=p.velocity_max or None,
-            acceleration_max=p.acceleration_max, jerk_max=p.jerk_max or None, capsules=shapes,
-            link_radius=p.link_radius)
+            urdf, p.tip_frame, base_frame=base_frame, locked_positions=p.locked,
+            axes=p.axes, command_frame=p.command_frame, position_limits=p.position_ranges,
+            velocity_max=p.velocity_max or None, acceleration_max=p.acceleration_max or None,
+            jerk_max=p.jerk_max or None, capsules=shapes, link_radius=p.link_radius)
 
     if p.capsules:
-        return robot_with([_capsule(name, capsules.get(name, {})) for name in p.capsules])
+        return _looked_at(
+            robot_with([_capsule(name, capsules.get(name, {})) for name in p.capsules]), warn)
     if p.link_shapes == 'straight':
         return robot_with(None)
     bare = robot_with([])
@@ -171,7 +178,15 @@ def build_robot(
         kept = ('once for all starts to come' if cache_folder() is not None else
                 'at every start: there is no cache folder that nobody else can write to')
         say(f"fitting capsules to the URDF's collision geometry, {kept}")
-    return robot_with(_fitted(bare, urdf_folder(p, folder), warn))
+    return _looked_at(robot_with(_fitted(bare, urdf_folder(p, folder), warn)), warn)
+
+
+def _looked_at(arm: Robot, warn: Callable[[str], object] | None) -> Robot:
+    """Return an arm after a word about link shapes that are suspiciously large."""
+    if warn is not None:
+        for sentence in larger_than_the_rest(arm):
+            warn(sentence)
+    return arm
 
 
 def with_more_capsules(

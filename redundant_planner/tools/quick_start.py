@@ -41,6 +41,7 @@ from redundant_planner.tools.show_robot import (
     described_by_urdf,
     draw,
     parameter_file,
+    said_of_limits,
 )
 
 _ARM, _PLANNER = 'fake_hardware_node', 'planner_node'
@@ -155,8 +156,9 @@ def prepared(
         say('fitting capsules to the collision geometry')
     arm = arm_of(described, warn)
     if not is_kept:
-        file.write_text(parameter_file(arm.parameters, arm.robot, arm.start))
+        file.write_text(parameter_file(arm.parameters, arm.robot, arm.start, arm.sources))
         say(f'parameter file: {file}')
+    say(said_of_limits(arm))
     if picture.exists() and not options.overwrite:
         say(f'{picture} is there already and stays as it is')
     else:

@@ -21,10 +21,13 @@ from rich.table import Table
 import yaml
 
 from redundant_planner.analysis.figures import robot_picture
-from redundant_planner.core.errors import PlannerError, RobotError
+from redundant_planner.core.errors import known, PlannerError, RobotError
+from redundant_planner.core.robot.joint_limits import DEFAULT, Sources, URDF
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.urdf import read_urdf
 from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import collision_pieces
+from redundant_planner.io.limit_report import limit_lines, narrower_soft_limits
 from redundant_planner.io.link_shapes import capsule_entry, Fit, fitted_capsules
 from redundant_planner.io.node_parameters import FakeHardwareParameters
 from redundant_planner.io.parameter_files import (
@@ -42,6 +45,8 @@ Array = npt.NDArray[np.float64]
 
 
 _PACKAGE = 'package://'
+# Taken where a URDF has no velocity limit [rad/s, m/s].
+_VELOCITY = 1.0
 
 
 @dataclass(frozen=True)
@@ -52,11 +57,14 @@ class Described:
         parameters: of the robot; `urdf` is a package:// location or an absolute path.
         capsules: name → {frame, start, end, radius}.
         start: joint name → where a simulated arm starts [rad, m]; empty for a proposal.
+        assumed: joints whose velocity limit in the parameters is a guess, as the URDF has none;
+            the others have the URDF's there.
     """
 
     parameters: RobotParameters
     capsules: Mapping[str, Mapping[str, Any]]
     start: Mapping[str, float]
+    assumed: tuple[str, ...] = ()
 
 
 def described_by_urdf(
@@ -76,14 +84,17 @@ def described_by_urdf(
     text = read_text(resolve(urdf))
     parameters = RobotParameters(
         urdf=_from_anywhere(urdf, None), tip_frame=tip or likely_tip(text), base_frame=base)
-    try:
-        Robot(text, parameters.tip_frame, base_frame=base, capsules=[])
-    except RobotError as error:
-        if 'velocity_max' not in str(error):
-            raise
-        warn(f'{error}; 1.0 is taken')
-        parameters = replace(parameters, velocity_max=(1.0,))
-    return Described(parameters, {}, {})
+    chain = Robot(text, parameters.tip_frame, base_frame=base, velocity_max=_VELOCITY, capsules=[])
+    known_ones = {joint.name: joint.velocity for joint in read_urdf(text).joints}
+    velocities = {name: known_ones[name] for name in chain.joint_names}
+    assumed = tuple(name for name, limit in velocities.items() if not limit)
+    if assumed:
+        warn(f'the URDF has no velocity limit for {known(assumed)}; {_VELOCITY} is taken')
+        parameters = replace(parameters, velocity_max=tuple(
+            limit or _VELOCITY for limit in velocities.values()))
+    if sentence := narrower_soft_limits(chain):
+        warn(sentence)
+    return Described(parameters, {}, {}, assumed)
 
 
 def described_by_file(
@@ -122,12 +133,14 @@ class Arm:
         robot: the arm.
         start: joint name → where a simulated arm starts [rad, m].
         posture: (n,) of the chain then [rad, m].
+        sources: where its limits are from.
     """
 
     parameters: RobotParameters
     robot: Robot
     start: Mapping[str, float]
     posture: Array
+    sources: Sources
 
 
 def arm_of(
@@ -145,47 +158,69 @@ def arm_of(
     """
     parameters = described.parameters
     robot = build_robot(parameters, urdf_text(parameters), described.capsules, warn=warn)
-    names = robot.joint_names
+    names, sources = robot.joint_names, robot.limit_sources
+    if described.assumed:
+        sources = sources._replace(velocity=tuple(
+            DEFAULT if name in described.assumed else URDF for name in names))
     if posture is not None:
         q = robot.checked_posture(posture)
     elif described.start:
         # What is not named starts at 0, or at the limit nearest to it.
         q = np.clip([described.start.get(name, 0.0) for name in names],
                     robot.position_min, robot.position_max)
-        return Arm(parameters, robot, described.start, q)
+        return Arm(parameters, robot, described.start, q, sources)
     else:
         q = start_posture(robot)
-    return Arm(parameters, robot, {**parameters.locked, **dict(zip(names, q.tolist()))}, q)
+    start = {**parameters.locked, **dict(zip(names, q.tolist()))}
+    return Arm(parameters, robot, start, q, sources)
 
 
 def parameter_file(
     parameters: RobotParameters, robot: Robot, start: Mapping[str, float] | None = None,
+    sources: Sources | None = None,
 ) -> str:
     """Return a ROS parameter file for a robot, its capsules included.
+
+    Acceleration limits that the URDF has for all joints are left to it, so that a corrected URDF
+    counts.
 
     Args:
         parameters: that it was built with.
         robot: the arm.
         start: joint name → where a simulated arm starts [rad, m].
+        sources: where its limits are from, for a comment; None for what the robot says.
     """
+    sources = sources or robot.limit_sources
     capsules = {c.name: capsule_entry(c) for c in robot.capsules}
     given = {entry.name: getattr(parameters, entry.name) for entry in fields(parameters)
              if getattr(parameters, entry.name) != entry.default}
     starts = {} if not start else {
         'initial_joints': list(start), 'initial_positions': list(map(float, start.values()))}
+    accelerations = {} if set(sources.acceleration) == {URDF} else {
+        'acceleration_max': robot.acceleration_max.tolist()}
     values: dict[str, Any] = {
         'urdf': parameters.urdf, 'base_frame': robot.base_frame, 'tip_frame': robot.tip_frame,
-        'axes': robot.axes, 'acceleration_max': robot.acceleration_max.tolist(), **given,
+        'axes': robot.axes, **accelerations, **given,
         **starts, 'capsules': list(capsules), 'capsule': capsules}
     values = {key: list(value) if isinstance(value, tuple) else value
               for key, value in values.items()}
     text = yaml.dump({'/**': {'ros__parameters': values}}, sort_keys=False, width=99,
                      default_flow_style=None)
-    return ('# Made by show_robot. A URDF has no acceleration limits: replace acceleration_max by '
-            "your\n# drives' own. The capsules contain all of the collision geometry that the "
-            'chain moves.\n' + ('' if not start else
+    ask = '' if DEFAULT not in sources.acceleration else (
+        "# The URDF has no acceleration limits for all joints: replace acceleration_max by your\n"
+        "# drives' own.\n")
+    return ('# Made by show_robot. The capsules contain all of the collision geometry that the '
+            'chain moves.\n' + ask + ('' if not start else
             '# A simulated arm (fake_hardware_node, mujoco_hardware_node) starts at '
-            'initial_positions.\n') + text)
+            'initial_positions.\n') + '# The limits, and where each was from when this was '
+            'written; what is a parameter below replaces it:\n'
+            + ''.join(f'# {line}\n' for line in limit_lines(robot, sources)) + text)
+
+
+def said_of_limits(arm: Arm) -> str:
+    """Return the limits of an arm's joints, each with where it is from, as text of a few lines."""
+    return '\n'.join(['limits, and where each is from:', *(
+        f'  {line}' for line in limit_lines(arm.robot, arm.sources))])
 
 
 def draw(path: Path, arm: Arm, say: Callable[[str], object]) -> None:
@@ -242,8 +277,9 @@ def main(args: list[str] | None = None) -> int:
             fits = fitted_capsules(arm.robot, urdf_folder(arm.parameters))
         draw(options.out, arm, warn)
         console.print(_table(arm.robot, fits, time.monotonic() - began))
+        console.print(said_of_limits(arm), highlight=False, markup=False, soft_wrap=True)
         console.print(f'picture: {options.out}')
-        print(parameter_file(arm.parameters, arm.robot, arm.start), end='')
+        print(parameter_file(arm.parameters, arm.robot, arm.start, arm.sources), end='')
     except PlannerError as error:
         print(f'show_robot: {error}', file=sys.stderr)
         return 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+import re
 import shutil
 import struct
 
@@ -11,6 +12,7 @@ from conftest import EXAMPLE_ROBOTS, PANDA_URDF, planar_urdf
 from hypothesis import given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 import yaml
 
 from redundant_planner.core.errors import PlannerError, RobotError
@@ -21,6 +23,7 @@ from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io import link_shapes
 from redundant_planner.io.collision_geometry import collision_elements, collision_pieces
 from redundant_planner.io.link_shapes import fitted_capsules
+from redundant_planner.io.link_surfaces import link_surfaces
 from redundant_planner.io.node_parameters import FakeHardwareParameters
 from redundant_planner.io.parameter_files import (
     read_parameter_file,
@@ -107,6 +110,92 @@ def test_meshes_are_found_relative_by_package_and_by_file_and_scaled(tmp_path, l
     points = np.vstack([p.points for p in collision_pieces(robot, folder)])
     size = points.max(axis=0) - points.min(axis=0)
     np.testing.assert_allclose(np.sort(size), [0.1, 0.2, 0.3], atol=1e-6)
+
+
+def collada_cube(path, unit='<unit name="centimeter" meter="0.01"/>', size=10.0):
+    """Write a cube between the origin and (size, size, size), which lies on its side in it."""
+    corners = size * np.array(np.meshgrid((0, 1), (0, 1), (0, 1))).reshape(3, -1).T
+    faces = ConvexHull(corners).simplices
+    numbers, indices = (' '.join(map(str, array.ravel())) for array in (corners, faces))
+    path.write_text(f"""<?xml version="1.0" encoding="utf-8"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+  <asset><contributor/>{unit}<up_axis>Y_UP</up_axis></asset>
+  <library_geometries><geometry id="cube"><mesh>
+    <source id="places"><float_array id="numbers" count="24">{numbers}</float_array>
+      <technique_common><accessor source="#numbers" count="8" stride="3">
+        <param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>
+      </accessor></technique_common></source>
+    <vertices id="corners"><input semantic="POSITION" source="#places"/></vertices>
+    <triangles count="12"><input semantic="VERTEX" source="#corners" offset="0"/>
+      <p>{indices}</p></triangles>
+  </mesh></geometry></library_geometries>
+  <library_visual_scenes><visual_scene id="scene"><node id="node">
+    <instance_geometry url="#cube"/></node></visual_scene></library_visual_scenes>
+  <scene><instance_visual_scene url="#scene"/></scene>
+</COLLADA>""")
+
+
+@pytest.mark.parametrize(('unit', 'scale', 'edge'), [
+    ('<unit name="centimeter" meter="0.01"/>', '', 0.1), ('<unit meter="1"/>', '', 10.0),
+    ('<unit meter="0.0254"/>', 'scale="2 2 2"', 0.508), ('<unit name="meter"/>', '', 10.0),
+    ('', 'scale="0.01 0.01 0.01"', 0.1)])
+def test_the_unit_of_a_collada_file_counts_and_its_up_axis_does_not(tmp_path, unit, scale, edge):
+    """Case 8 of the inputs that users have: as RViz shows it."""
+    collada_cube(tmp_path / 'cube.dae', unit)
+    robot = Robot(arm_with(f'<mesh filename="cube.dae" {scale}/>'), 'tip', capsules=[],
+                  axes=('vx', 'vy'))
+    (piece,) = collision_pieces(robot, tmp_path)
+    # The element's z axis points along the link's x axis, and x along −z.
+    np.testing.assert_allclose(piece.points.min(axis=0), [0.1, 0.0, -edge], atol=1e-5 * edge)
+    np.testing.assert_allclose(piece.points.max(axis=0), [0.1 + edge, edge, 0.0],
+                               atol=1e-5 * edge)
+    (fit,) = fitted_capsules(robot, tmp_path, cache=False)
+    (capsule,) = fit.capsules
+    assert capsule.radius == pytest.approx(0.77 * edge, rel=0.02)
+    # What is drawn is the same.
+    (surface,) = link_surfaces(robot, tmp_path)
+    np.testing.assert_allclose(np.ptp(surface.vertices, axis=0), edge, rtol=1e-5)
+
+
+@pytest.mark.parametrize('meter', ['0', '-0.01', 'nan', 'inf', 'one', ''])
+def test_a_unit_that_is_none_is_refused_by_link_and_file(tmp_path, meter):
+    collada_cube(tmp_path / 'cube.dae', f'<unit meter="{meter}"/>')
+    robot = Robot(arm_with('<mesh filename="cube.dae"/>'), 'tip', capsules=[], axes=('vx', 'vy'))
+    message = rf"mesh of link 'link2': '.*cube\.dae' has <unit meter='{meter}'>; it takes a pos"
+    for read in (collision_pieces, link_surfaces):
+        with pytest.raises(RobotError, match=message):
+            read(robot, tmp_path)
+
+
+@pytest.mark.parametrize('unit', ['<unit meter="0.01"/>', '<unit meter="1"/>'])
+def test_a_link_that_is_larger_than_the_rest_of_the_arm_is_named(tmp_path, unit):
+    """The parameters list the capsules, or they are fitted: it is looked at either way."""
+    collada_cube(tmp_path / 'cube.dae', unit)
+    urdf = tmp_path / 'arm.urdf'
+    urdf.write_text(arm_with('<mesh filename="cube.dae"/>'))
+    parameters = RobotParameters(urdf=str(urdf), tip_frame='tip', axes=('vx', 'vy'))
+    said, again = [], []
+    robot = build_robot(parameters, urdf.read_text(), {}, warn=said.append)
+    entries = {c.name: link_shapes.capsule_entry(c) for c in robot.capsules}
+    build_robot(replace(parameters, capsules=tuple(entries)), robot.urdf, entries,
+                warn=again.append)
+    assert again == said
+    if '0.01' in unit:
+        assert said == []
+    else:
+        (sentence,) = said
+        # A ball around a cube of 10 m, or a capsule that is hardly longer.
+        (length,) = re.findall(r"^the shape of link 'link2' is (\S+) m long, the rest of the arm "
+                               r'1\.2 m: are the lengths in its mesh metres', sentence)
+        assert 15.0 < float(length) < 20.0
+
+
+def test_no_arm_of_example_robot_data_has_a_link_that_is_named_so():
+    for file, tip in ARMS.items():
+        parameters = RobotParameters(
+            urdf=str(EXAMPLE_ROBOTS / file), tip_frame=tip, velocity_max=(1.0,))
+        robot = build_robot(parameters, urdf_text(parameters), {})
+        assert robot.capsules and link_shapes.larger_than_the_rest(robot) == [], file
 
 
 def test_what_is_missing_is_named(tmp_path):

@@ -31,10 +31,48 @@ def test_everything_is_seen_from_the_mount(pose):
     np.testing.assert_allclose(other.tip_rotation, turn @ one.tip_rotation, atol=1e-9)
 
 
-def test_three_numbers_are_a_place_and_a_link_may_still_be_the_base():
-    there = panda(mount_frame='cell', mount_pose=(1.0, 2.0, 3.0), base_frame='panda_link0')
-    np.testing.assert_allclose(there.kinematics(PANDA_READY).tip_position,
-                               panda().kinematics(PANDA_READY).tip_position, atol=1e-9)
+def test_three_numbers_are_a_place():
+    there = panda(mount_frame='cell', mount_pose=(1.0, 2.0, 3.0))
+    np.testing.assert_allclose(
+        there.kinematics(PANDA_READY).tip_position,
+        panda().kinematics(PANDA_READY).tip_position + [1.0, 2.0, 3.0], atol=1e-9)
+
+
+@pytest.mark.parametrize('base_frame', ['cell', 'panda_link0'])
+def test_the_root_named_as_base_does_not_undo_the_mount(base_frame):
+    """Parameter files of quick_start name it."""
+    there = panda(mount_frame='cell', mount_pose=POSE, base_frame=base_frame)
+    expected = panda(mount_frame='cell', mount_pose=POSE)
+    assert there.base_frame == 'cell'
+    np.testing.assert_array_equal(there.kinematics(PANDA_READY).tip_position,
+                                  expected.kinematics(PANDA_READY).tip_position)
+
+
+@pytest.mark.parametrize(('origin', 'taken'), [('0 0 0', True), ('0 0 0.1', False)])
+def test_a_base_away_from_the_mounted_root_is_refused(tmp_path, origin, taken):
+    """Is mount_pose that of the root, or of the base? Where both are one place, no matter."""
+    urdf = tmp_path / 'arm.urdf'
+    urdf.write_text(PANDA_URDF.read_text().replace('</robot>', (
+        '<link name="world"/><joint name="stand" type="fixed"><parent link="world"/>'
+        f'<child link="panda_link0"/><origin xyz="{origin}"/></joint></robot>')))
+    mount = {'mount_frame': 'cell', 'mount_pose': POSE, 'base_frame': 'panda_link0'}
+
+    def build():
+        return Robot.from_file(ROBOTS / 'panda.yaml', urdf=str(urdf), **mount)
+
+    if taken:
+        np.testing.assert_allclose(build().kinematics(PANDA_READY).tip_position,
+                                   panda(**mount).kinematics(PANDA_READY).tip_position)
+        return
+    with pytest.raises(ParameterError, match=(
+            r"'base_frame' is 'panda_link0', and 'mount_frame' is 'cell', where 'world' stands at "
+            r"mount_pose: one of them can be the base\. Leave base_frame empty")):
+        build()
+
+
+def test_a_base_behind_a_joint_is_refused_beside_a_mount():
+    with pytest.raises(ParameterError, match="'base_frame' is 'panda_link1', and 'mount_frame'"):
+        panda(mount_frame='cell', mount_pose=POSE, base_frame='panda_link1')
 
 
 def test_what_is_mounted_stays_as_it_is():
@@ -54,5 +92,7 @@ def test_a_recorded_configuration_mounts_nothing_twice():
     there = panda(mount_frame='cell', mount_pose=POSE)
     values = {'robot_description': there.urdf, 'mount_frame': 'cell', 'mount_pose': list(POSE),
               'base_frame': 'cell', 'tip_frame': 'panda_hand', 'link_shapes': 'straight'}
-    np.testing.assert_allclose(robot_of_values(values).kinematics(PANDA_READY).tip_position,
-                               there.kinematics(PANDA_READY).tip_position, atol=1e-12)
+    for base in ('cell', 'panda_link0', ''):
+        again = robot_of_values({**values, 'base_frame': base})
+        np.testing.assert_allclose(again.kinematics(PANDA_READY).tip_position,
+                                   there.kinematics(PANDA_READY).tip_position, atol=1e-12)

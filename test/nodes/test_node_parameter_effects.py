@@ -62,7 +62,8 @@ class Case:
 def paper_arm(p: RobotParameters):
     return Robot.from_file(ROBOTS / 'paper_2p5r.yaml', **{
         'jerk_max': p.jerk_max, 'acceleration_max': p.acceleration_max,
-        'velocity_max': p.velocity_max, 'link_radius': p.link_radius})
+        'velocity_max': p.velocity_max, 'link_radius': p.link_radius,
+        'position_limits': p.position_limits})
 
 
 def way_in_half_a_second(p: RobotParameters):
@@ -273,6 +274,8 @@ CASES = [
     Case(RobotParameters, 'acceleration_max', (0.5,), (5.0,), time_to_a_target, '-'),
     Case(RobotParameters, 'acceleration_max', (0.5,), (5.0,), way_in_half_a_second, '+'),
     Case(RobotParameters, 'jerk_max', (10.0,), (500.0,), way_in_half_a_second, '+'),
+    Case(RobotParameters, 'position_limits', (), ('d2=0.0..0.15',), way_in_half_a_second,
+         '-'),
     Case(RobotParameters, 'link_radius', 0.0, 0.03, clearance_at_rest, '-'),
     Case(RobotParameters, 'axes', ('vx', 'vy', 'vz'), ('vx', 'vy', 'vz', 'wx', 'wy', 'wz'),
          least_norm_speed, '+'),

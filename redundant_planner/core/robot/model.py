@@ -12,11 +12,11 @@ import pinocchio as pin
 
 from redundant_planner.core.errors import known, RobotError, StateError
 from redundant_planner.core.machine_code.packed import Packed
-from redundant_planner.core.numbers import floats_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import AXES, COMMAND_FRAMES
 from redundant_planner.core.robot import capsules as shapes
 from redundant_planner.core.robot.capsules import Capsule
+from redundant_planner.core.robot.joint_limits import joint_limits, position_ranges, Ranges, Values
 from redundant_planner.core.robot.kinematics import (
     Chain,
     fill_kinematics,
@@ -32,22 +32,14 @@ from redundant_planner.core.robot.pinocchio_model import (
     joint_placements,
     link_id,
     model_of_chain,
-    position_ranges,
 )
 from redundant_planner.core.robot.urdf import read_urdf
 
 Array = npt.NDArray[np.float64]
 Arm = TypeVar('Arm', bound='Robot')
 
-# The planner's arithmetic keeps its digits within these [rad/s, m/s; per s²].
-_SLOWEST, _FASTEST = 1e-6, 1e6
 # A posture further away is none: a continuous joint that turns at 10 rad/s gets there in a day.
 _FARTHEST = 1e6
-# Jerk limits where none are given, as a multiple of the acceleration limits [1/s]: MoveIt's for
-# joints of unknown limits, 1000 rad/s³ beside 10 rad/s².
-_JERK = 100.0
-# How long a joint may need to turn its acceleration round at most [s].
-_LONGEST_RAMP = 1.0
 
 
 class Robot:
@@ -65,6 +57,7 @@ class Robot:
         position_min, position_max: (n,) [rad, m], infinite for continuous joints.
         velocity_max, acceleration_max, jerk_max: (n,) [rad/s, m/s; per s²; per s³], the last may
             be infinite.
+        limit_sources: where each of these limits is from.
         capsules: the link shapes, then those of what the hand holds.
         self_pairs: (p, 2) indices of the capsules that can run into each other.
         supports: (c, n) 1 where a joint moves a capsule, else 0.
@@ -82,9 +75,10 @@ class Robot:
         locked_positions: Mapping[str, float] | None = None,
         axes: Sequence[str] = AXES,
         command_frame: str = 'base',
-        velocity_max: Sequence[float] | float | None = None,
-        acceleration_max: Sequence[float] | float = 5.0,
-        jerk_max: Sequence[float] | float | None = None,
+        position_limits: Ranges | None = None,
+        velocity_max: Values | None = None,
+        acceleration_max: Values | None = None,
+        jerk_max: Values | None = None,
         capsules: Sequence[Capsule] | None = None,
         link_radius: float | None = None,
     ) -> None:
@@ -100,10 +94,13 @@ class Robot:
                 A chain joint named here is taken out of the chain.
             axes: controlled axes, out of `AXES`.
             command_frame: 'base' or 'tool', see the class.
+            position_limits: joint name → its lowest and highest position [rad, m], within the
+                URDF's. An arm found outside may stay there or come in.
             velocity_max: replaces the URDF's velocity limits, one value or n [rad/s, m/s].
-            acceleration_max: one value or n [rad/s², m/s²] (a URDF has none).
-            jerk_max: one value or n [rad/s³, m/s³]; infinite for none. If None, 100/s times
-                `acceleration_max`.
+            acceleration_max: replaces the URDF's, one value or n [rad/s², m/s²]; 5 where neither
+                gives one.
+            jerk_max: replaces the URDF's, one value or n [rad/s³, m/s³]; infinite for none. 100/s
+                times the acceleration limit where neither gives one.
             capsules: the link shapes; an empty list leaves every link unprotected.
             link_radius: where `capsules` is None, the radius of straight capsules from each
                 joint origin to the next [m]; 0 for bare lines.
@@ -130,13 +127,12 @@ class Robot:
                 f"command_frame is '{command_frame}'; it must be one of {known(COMMAND_FRAMES)}")
         self.command_frame = command_frame
         self.in_tool = command_frame == 'tool'
-        self.position_min, self.position_max = (
-            _read_only(np.array(ends)) for ends in zip(*position_ranges(chain)))
-        self.velocity_max = self._limits(
-            'velocity_max', self._model.velocityLimit if velocity_max is None else velocity_max)
-        self.acceleration_max = self._limits('acceleration_max', acceleration_max)
-        self.jerk_max = self._jerk_limits(
-            _JERK * self.acceleration_max if jerk_max is None else jerk_max)
+        (self.position_min, self.position_max, self.velocity_max, self.acceleration_max,
+         self.jerk_max, self.limit_sources) = joint_limits(
+            chain, positions=position_limits, velocity_max=velocity_max,
+            acceleration_max=acceleration_max, jerk_max=jerk_max)
+        # Narrower limits change nothing about which links can meet: the arm may start beyond.
+        self._reachable = position_ranges(chain)
 
         self._tip_id = link_id(self._model, tip_frame)
         self.rows = np.array([AXES.index(axis) for axis in self.axes], dtype=np.intp)
@@ -319,40 +315,13 @@ class Robot:
             shapes.supports_of(capsule_joint, self.n), self.rows, self.in_tool)
 
     def _random_arms(self) -> Iterator[Kinematics]:
-        """Yield the kinematics at random postures within the limits, without end."""
-        low = np.where(np.isfinite(self.position_min), self.position_min, -np.pi)
-        high = np.where(np.isfinite(self.position_max), self.position_max, np.pi)
+        """Yield the kinematics at random postures within the URDF's limits, without end."""
+        lowest, highest = self._reachable
+        low = np.where(np.isfinite(lowest), lowest, -np.pi)
+        high = np.where(np.isfinite(highest), highest, np.pi)
         random = np.random.default_rng(0)
         while True:
             yield self.kinematics(random.uniform(low, high))
-
-    def _jerk_limits(self, values: Sequence[float] | float | Array) -> Array:
-        limits = self._one_or_n('jerk_max', values)
-        for name, limit, acceleration in zip(self.joint_names, limits, self.acceleration_max):
-            least = 2.0 * acceleration / _LONGEST_RAMP
-            if not limit >= least:
-                raise RobotError(
-                    f"jerk_max of joint '{name}' is {limit}; beside an acceleration_max of "
-                    f'{acceleration:g} it must be {least:g} or more, so that the joint turns its '
-                    f'acceleration round within {_LONGEST_RAMP:g} s')
-        return _read_only(limits)
-
-    def _one_or_n(self, what: str, values: Sequence[float] | float | Array) -> Array:
-        limits = floats_of(values)
-        if limits.ndim > 1 or limits.size not in (1, self.n):
-            raise RobotError(
-                f'{what} has {limits.size} values; it takes 1 or {self.n}, one per joint: '
-                f'{known(self.joint_names)}')
-        return np.broadcast_to(limits.reshape(-1), (self.n,)).copy()
-
-    def _limits(self, what: str, values: Sequence[float] | float) -> Array:
-        limits = self._one_or_n(what, values)
-        for name, limit in zip(self.joint_names, limits):
-            if not _SLOWEST <= limit <= _FASTEST:
-                raise RobotError(
-                    f"{what} of joint '{name}' is {limit}; it must lie in [{_SLOWEST:g}, "
-                    f'{_FASTEST:g}] (give it as a parameter where the URDF has none)')
-        return _read_only(limits)
 
 
 def _read_only(array: Array) -> Array:

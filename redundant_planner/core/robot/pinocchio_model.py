@@ -79,21 +79,6 @@ def chain_joints(
     return chain
 
 
-def position_ranges(chain: Sequence[Joint]) -> list[tuple[float, float]]:
-    """Return the position limits of the chain's joints, infinite for continuous ones."""
-    for joint in chain:
-        if joint.kind == 'continuous':
-            continue
-        if max(abs(joint.lower), abs(joint.upper)) > LARGEST:
-            raise RobotError(
-                f"joint '{joint.name}' has the limits {joint.lower} and {joint.upper}; they must "
-                f'lie within ±{LARGEST:g} (a joint that turns without end is continuous)')
-        if joint.lower == joint.upper:
-            raise RobotError(f"joint '{joint.name}' cannot move: lower and upper of its limit are "
-                             f'{joint.lower}; correct them or lock it')
-    return [(joint.lower, joint.upper) for joint in chain]
-
-
 def model_of_chain(
     urdf: Urdf, chain: Sequence[Joint], base_frame: str, locked_positions: Mapping[str, float],
 ) -> pin.Model:

@@ -54,6 +54,9 @@ class Joint(NamedTuple):
         axis: (3,) of the motion, in the child's frame.
         lower, upper: limits [rad, m], infinite for continuous joints.
         velocity: limit [rad/s, m/s], 0 where the URDF has none.
+        acceleration: limit [rad/s², m/s²] of speeding up and of slowing down, the smaller one; 0
+            where the URDF has neither.
+        jerk: limit [rad/s³, m/s³], may be infinite; 0 where the URDF has none.
         mimic: what it follows, if it does.
     """
 
@@ -67,6 +70,8 @@ class Joint(NamedTuple):
     lower: float
     upper: float
     velocity: float
+    acceleration: float
+    jerk: float
     mimic: Mimic | None
 
 
@@ -197,13 +202,14 @@ def _joint(element: ElementTree.Element, links: dict[str, ElementTree.Element]) 
     xyz = numbers(origin, 'xyz', f'the origin of {what}', default=_ZERO)
     rpy = numbers(origin, 'rpy', f'the origin of {what}', default=_ZERO)
     if kind not in MOVABLE:
-        return Joint(name, kind, parent, child, xyz, rpy, _X, 0.0, 0.0, 0.0, None)
+        return Joint(name, kind, parent, child, xyz, rpy, _X, 0.0, 0.0, 0.0, 0.0, 0.0, None)
     axis = numbers(element.find('axis'), 'xyz', f'the axis of {what}', default=_X)
     if math.hypot(*axis) < _SHORTEST_AXIS:
         raise RobotError(f'{what} has the axis {_written(axis)}, which has no direction')
-    lower, upper, velocity = _limits(element, kind, what)
-    return Joint(name, kind, parent, child, xyz, rpy, axis, lower, upper, velocity,
-                 _mimic(element, what))
+    limit = element.find('limit')
+    lower, upper = _range(limit, kind, what)
+    return Joint(name, kind, parent, child, xyz, rpy, axis, lower, upper,
+                 *_rates(limit, f'the limit of {what}'), _mimic(element, what))
 
 
 def _end(
@@ -218,18 +224,12 @@ def _end(
     return link
 
 
-def _limits(
-    element: ElementTree.Element, kind: str, what: str,
-) -> tuple[float, float, float]:
-    """Return the lower and upper limit and that of the velocity."""
-    limit = element.find('limit')
-    (velocity,) = numbers(
-        limit, 'velocity', f'the limit of {what}', default=(0.0,), largest=math.inf)
-    if not 0.0 <= velocity < math.inf:
-        raise RobotError(f'the limit of {what} has velocity={velocity}; it takes a positive '
-                         'number')
+def _range(
+    limit: ElementTree.Element | None, kind: str, what: str,
+) -> tuple[float, float]:
+    """Return the lower and upper limit."""
     if kind == 'continuous':
-        return -math.inf, math.inf, velocity
+        return -math.inf, math.inf
     if limit is None:
         raise RobotError(f'{what} has no <limit>; only continuous joints need none')
     (lower,), (upper,) = (
@@ -238,7 +238,27 @@ def _limits(
     if not -math.inf < lower <= upper < math.inf:
         raise RobotError(f'{what} has the limits {lower} and {upper}; lower must not exceed '
                          'upper, and both must be finite')
-    return lower, upper, velocity
+    return lower, upper
+
+
+def _rates(limit: ElementTree.Element | None, what: str) -> tuple[float, float, float]:
+    """Return the limits of velocity, acceleration and jerk, 0 for none.
+
+    An infinite velocity or acceleration is none, as in version 1.2 of the format. A velocity of 0
+    stands for none, too: exporters write it where they know none.
+    """
+    def rate(key: str, without: float, least: float) -> float:
+        (value,) = numbers(limit, key, what, default=(without,), largest=math.inf)
+        if not value >= least:
+            raise RobotError(f'{what} has {key}={value}; it takes a positive number')
+        return value
+
+    tiny = math.ulp(0.0)
+    velocity = rate('velocity', 0.0, 0.0)
+    acceleration = min(rate('acceleration', math.inf, tiny), rate('deceleration', math.inf, tiny))
+    jerk = 0.0 if limit is None or limit.get('jerk') is None else rate('jerk', 0.0, tiny)
+    return (velocity if velocity < math.inf else 0.0,
+            acceleration if acceleration < math.inf else 0.0, jerk)
 
 
 def _mimic(element: ElementTree.Element, what: str) -> Mimic | None:

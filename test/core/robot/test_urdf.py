@@ -81,6 +81,27 @@ def test_a_bad_urdf_is_refused_by_name_wherever_it_is_read(old, new, message):
             read(text)
 
 
+@pytest.mark.parametrize('key', ['acceleration', 'deceleration', 'jerk'])
+@pytest.mark.parametrize(('value', 'wanted'), [
+    ('0', '=0.0; it takes a positive number'), ('-3', '=-3.0; it takes a positive number'),
+    ('nan', "='nan'; it takes a number"), ('fast', "='fast'; it takes a number"),
+    ('', "=''; it takes a number"), ('${limit}', r"='\$\{limit\}'; it takes a number")])
+def test_a_bad_limit_of_version_1_2_is_refused_by_joint_and_attribute(key, value, wanted):
+    text = planar_urdf().replace('velocity="2"', f'velocity="2" {key}="{value}"', 1)
+    with pytest.raises(RobotError, match=f"^the limit of joint 'joint1' of the URDF has {key}"
+                                         f'{wanted}$'):
+        read_urdf(text)
+
+
+def test_an_unexpanded_macro_is_refused_by_joint():
+    text = planar_urdf().replace('velocity="2"', 'velocity="${speed * 2}"', 1)
+    with pytest.raises(RobotError, match=r"'joint1' of the URDF has velocity='\$\{speed \* 2"):
+        read_urdf(text)
+    text = planar_urdf().replace('xyz="0.5 0 0"', 'xyz="${length} 0 0"', 1)
+    with pytest.raises(RobotError, match=r"origin of joint 'joint2' .* has xyz='\$\{length\} 0"):
+        read_urdf(text)
+
+
 @pytest.mark.parametrize('text', [
     '', '<robot', '\ud800', '<?xml version="1.0" encoding="nonsense"?><robot name="x"/>',
     '<robot name="x"/>', '<a>' * 100_000 + '</a>' * 100_000])
