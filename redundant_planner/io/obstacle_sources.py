@@ -43,6 +43,10 @@ class ObstacleSources:
         """Apply a serialised MarkerArray of a topic at time `now` [s]; return its problems."""
         return self._trackers[topic].update(raw, now)
 
+    def refused(self, topic: int) -> bool:
+        """Return whether nothing of a topic's latest message could be used."""
+        return self._trackers[topic].refused
+
     def expire(self, now: float) -> None:
         """Remove the obstacles whose lifetime has ended by `now`, and stop silent ones [s]."""
         for tracker in self._trackers:

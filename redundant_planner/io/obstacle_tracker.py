@@ -70,7 +70,9 @@ class _KnownListing(NamedTuple):
 class ObstacleTracker:
     """Static obstacles and markers with their lifetimes, as one scene.
 
-    `scene` stays the same object while nothing changes.
+    Attributes:
+        scene: stays the same object while nothing changes.
+        refused: whether nothing of the latest message could be used.
     """
 
     def __init__(
@@ -100,6 +102,7 @@ class ObstacleTracker:
         self._reader = MarkerReader()
         self._known: _KnownListing | None = None
         self._changed = False
+        self.refused = False
         self._next_change = np.inf
         self._hidden: frozenset[str] = frozenset()
         self._static = checked(static)
@@ -144,6 +147,7 @@ class ObstacleTracker:
         try:
             markers = self._reader.read(raw)
         except StateError as error:
+            self.refused = True
             return [f'obstacles: {error}']
         known_one = self._known
         if known_one is None or markers.twists is not None or (
@@ -153,7 +157,7 @@ class ObstacleTracker:
             problems = self._apply(markers, now)
         else:
             self._move_known(known_one, markers, now)
-            problems = []
+            self.refused, problems = False, []
         self._rebuild()
         return problems
 
@@ -214,6 +218,7 @@ class ObstacleTracker:
         if lost:
             problems.append(f'{lost} obstacles are too many: up to {MOST_OBSTACLES} are kept')
         places, rows = places[rows >= 0], rows[rows >= 0]
+        taken = int(adds[places].sum())
         self._take_in(Sightings(
             rows, (actions[places] == DELETE).astype(np.intp), centers[places], axes[places],
             # A marker that deletes may be of any type.
@@ -222,7 +227,10 @@ class ObstacleTracker:
         lists = good & lists_many(types)
         lists[:first] = False
         if lists.any() or self._lists.count:
-            problems += self._take_lists(markers, lists | acting, centers, axes, now)
+            more, lists_taken = self._take_lists(markers, lists | acting, centers, axes, now)
+            taken += lists_taken
+            problems += more
+        self.refused = bool(problems) and not taken
         kept = self._tracks.expiry > -np.inf
         self._keep(kept)
         # What stands before a DELETEALL may be wrong next time, and that has to be said.
@@ -235,7 +243,7 @@ class ObstacleTracker:
     def _take_lists(
         self, markers: Markers, acting: npt.NDArray[np.bool_], centers: Array, axes: Array,
         now: float,
-    ) -> list[str]:
+    ) -> tuple[list[str], int]:
         """Take markers that list many obstacles, and drop lists whose names stand for others now.
 
         Args:
@@ -245,9 +253,9 @@ class ObstacleTracker:
             now: [s].
 
         Returns:
-            A sentence per problem.
+            A sentence per problem, and how many lists were taken.
         """
-        listing, problems = markers.listing, []
+        listing, problems, taken = markers.listing, [], 0
         last = {(listing.namespaces[i], int(listing.ids[i])): i
                 for i in np.flatnonzero(acting).tolist()}
         for key, place in last.items():
@@ -265,11 +273,12 @@ class ObstacleTracker:
                             now + life if life > 0.0 else np.inf,
                             None if twist is None or np.isnan(twist[0]) else twist,
                             centers[place], now)
+            taken += 1
             if key in self._index:
                 self._tracks.expiry[self._index[key]] = -np.inf
             self._changed = True
         self._next_change = min(self._next_change, self._lists.next_change)
-        return problems
+        return problems, taken
 
     def _take_in(self, sightings: Sightings, now: float) -> None:
         """Write sightings into the tracks."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 import time
 
 import numpy as np
@@ -19,6 +20,29 @@ _SHARE = 0.1
 _MOST_WAITING = 100
 # For how many ticks messages are put off at most.
 _MOST_TIMES = 2
+# From when on a topic is useless of which nothing can be used: after this time [s], and after this
+# many messages in a row if it was of use before. How often that is said [s].
+_USELESS_AFTER, _USELESS_IN_A_ROW = 1.0, 10
+_SAID_EVERY = 10.0
+
+
+@dataclass
+class _Refusals:
+    """The messages of one topic of which nothing could be used.
+
+    Attributes:
+        in_a_row: their number, up to the latest message.
+        since: when the first of them was read [s].
+        why: what was wrong with the latest one.
+        useful: whether anything of an earlier message could be used.
+        said_at: when it was said last [s].
+    """
+
+    in_a_row: int = 0
+    since: float = 0.0
+    why: str = ''
+    useful: bool = False
+    said_at: float = -np.inf
 
 
 class ObstacleInput:
@@ -47,6 +71,7 @@ class ObstacleInput:
         """
         self.tracker = tracker
         self._topics = tuple(topics)
+        self._refusals = [_Refusals() for _ in topics]
         self.read_counts = [0] * len(topics)
         self.last_read = [0] * len(topics)
         self.read_at = -np.inf
@@ -103,10 +128,40 @@ class ObstacleInput:
             self.last_read[topic] = checksum(raw)
             name = self._topics[topic]
             try:
-                for problem in self.tracker.update(raw, now, topic):
-                    self._warn(f'{"" if name == "obstacles" else name + " "}{problem}; ignored')
+                self._note(topic, self.tracker.update(raw, now, topic), now)
             except Exception as error:
                 self._guard.caught(f"a message on '{name}'", error)
             if time.perf_counter() > enough:
                 break
         return True
+
+    def _note(self, topic: int, problems: Sequence[str], now: float) -> None:
+        """Say what was wrong with a message, and remember if nothing of it could be used."""
+        name, found = self._topics[topic], self._refusals[topic]
+        said = [f'{"" if name == "obstacles" else name + " "}{problem}; ignored'
+                for problem in problems]
+        if not self.tracker.refused(topic):
+            found.in_a_row, found.useful, found.said_at = 0, True, -np.inf
+        else:
+            found.in_a_row += 1
+            found.why = problems[0]
+            if found.in_a_row == 1:
+                found.since = now
+            # A stream of which nothing is of use says the same again and again.
+            if found.in_a_row > 1 and now - found.said_at < _SAID_EVERY:
+                return
+            found.said_at = now
+        for sentence in said:
+            self._warn(sentence)
+
+    def blind(self, now: float) -> str:
+        """Return a sentence about topics of which nothing can be used; empty without such.
+
+        Args:
+            now: of the loop [s].
+        """
+        return '; '.join(
+            f'nothing on {name} can be used, and the arm does not keep clear of it: {found.why}'
+            for name, found in zip(self._topics, self._refusals)
+            if found.in_a_row and now - found.since >= _USELESS_AFTER and (
+                not found.useful or found.in_a_row >= _USELESS_IN_A_ROW))

@@ -63,6 +63,7 @@ class Reports:
         state.command_age = loop.command.age()
         state.obstacle_age = now - loop.obstacles.read_at
         state.faults, state.last_fault = guard.count, guard.last
+        state.blind = loop.obstacles.blind(now)
         status = status_of(
             self._node.get_fully_qualified_name(), loop.planner.robot, state,
             loop.supervisor.posture, loop.planner.parameters.method,

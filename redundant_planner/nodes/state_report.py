@@ -40,6 +40,7 @@ class LoopState:
         trouble: what is wrong with the inputs without holding the arm.
         astray: why the arm did not follow, until it does.
         unheard: which outputs nobody hears.
+        blind: which topics of obstacles say nothing that can be used.
         result: of the last tick, None before the first.
         tick_times: of the ticks since the last report [s].
         overruns: ticks that took longer than the period, since the start.
@@ -55,6 +56,7 @@ class LoopState:
     trouble: str = ''
     astray: str = ''
     unheard: str = ''
+    blind: str = ''
     result: StepResult | None = None
     tick_times: deque[float] = field(default_factory=lambda: deque(maxlen=_TICKS))
     overruns: int = 0
@@ -89,8 +91,8 @@ def status_of(
     if state.hold:
         status.level = DiagnosticStatus.ERROR if state.fault else DiagnosticStatus.WARN
         status.message = state.hold
-    elif state.astray:
-        status.level, status.message = DiagnosticStatus.ERROR, state.astray
+    elif error := state.astray or state.blind:
+        status.level, status.message = DiagnosticStatus.ERROR, error
     elif warning := state.trouble or state.unheard or reason:
         status.level, status.message = DiagnosticStatus.WARN, warning
     else:
