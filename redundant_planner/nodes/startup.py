@@ -6,15 +6,15 @@ from collections.abc import Callable
 import time
 
 import numpy as np
-from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
 from redundant_planner.core.errors import known, PlannerError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.parameter_files import RobotParameters, urdf_text
 from redundant_planner.io.robot_files import build_robot, joints_to_measure, locked_at
+from redundant_planner.nodes.description_topic import DescriptionTopic
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.ros_parameters import unknown_parameters
 from redundant_planner.nodes.settings import Entries
@@ -67,10 +67,7 @@ class Startup:
         if urdf:
             self._on_urdf(urdf)
             return
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._listening.append(self._node.create_subscription(
-            String, 'robot_description', self._on_description, latched))
-        self._node.get_logger().info('waiting for a URDF on the topic robot_description')
+        DescriptionTopic(self._node, self._on_urdf, lambda: self._started)
 
     def listen_for_commands(self, heard: Callable[[bytes], None]) -> None:
         """Call `heard` for each joint_command until `close`: this node is silent so far."""
@@ -82,22 +79,18 @@ class Startup:
         while self._listening:
             self._node.destroy_subscription(self._listening.pop())
 
-    def _on_description(self, message: String) -> None:
-        """Take a URDF from the topic; a bad one leaves the node waiting for a better one."""
-        if self._started or self._urdf:
-            return
-        try:
-            self._on_urdf(message.data)
-        except PlannerError as error:
-            self._node.get_logger().error(f'robot_description: {error}')
-
     def _on_urdf(self, urdf: str) -> None:
-        """Build the robot, or wait until all joints that are to be locked were measured."""
+        """Build the robot, or wait until all joints that are to be locked were measured.
+
+        Another URDF while it waits takes the place of the one before.
+        """
         self._wanted = set(joints_to_measure(self._parameters, urdf))
         if not self._wanted:
             self._build(urdf)
             return
-        self._urdf = urdf
+        is_waiting, self._urdf = bool(self._urdf), urdf
+        if is_waiting:
+            return
         self._listening.append(self._node.create_subscription(
             JointState, 'joint_states', self._on_joint_states, qos_profile_sensor_data))
 

@@ -7,10 +7,17 @@ import argparse
 from conftest import planar_urdf
 import numpy as np
 import pytest
+import yaml
 
 from redundant_planner.core.errors import ParameterError, RobotError
 from redundant_planner.io.parameter_files import RobotParameters
-from redundant_planner.io.robot_files import load_robot, Robot
+from redundant_planner.io.robot_files import (
+    build_robot,
+    load_robot,
+    parameter_file_text,
+    Robot,
+    robot_of_values,
+)
 from redundant_planner.tools.quick_start import prepared
 from redundant_planner.tools.show_robot import main as show_robot
 
@@ -117,6 +124,18 @@ def test_ranges_are_read_as_they_are_written():
     assert parameters.position_ranges == {'a': (-1.0, 2.5), 'b': (-0.1, 0.0), 'c': (0.5, 1.0)}
     with pytest.raises(ParameterError, match="'position_limits' names 'a' twice"):
         RobotParameters(position_limits=('a=-1..2.5', 'a=0..1'))
+
+
+def test_a_recorded_configuration_has_the_same_limits(urdf):
+    parameters = RobotParameters(
+        urdf=str(urdf), tip_frame='tip', axes=('vx', 'vy'), velocity_max=(1.0,),
+        position_limits=('joint2=-1..0.5',))
+    robot = build_robot(parameters, TEXT, {}, folder=urdf.parent)
+    again = robot_of_values(yaml.safe_load(
+        parameter_file_text(parameters, robot, {}))['/**']['ros__parameters'])
+    assert again.limit_sources == robot.limit_sources
+    for name in ('position_min', 'position_max', 'velocity_max', 'acceleration_max', 'jerk_max'):
+        np.testing.assert_array_equal(getattr(again, name), getattr(robot, name))
 
 
 @pytest.mark.parametrize(('entry', 'message'), [
