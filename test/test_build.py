@@ -18,8 +18,8 @@ SOURCE = Path(__file__).resolve().parent.parent
 IGNORED = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log',
                                  'demo_output')
 EXECUTABLES = ('planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
-               'depth_camera', 'mujoco_hardware_node', 'demo', 'reproduce_paper',
-               'quick_start', 'go_to', 'show_robot', 'playground')
+               'planning_scene_obstacles', 'depth_camera', 'mujoco_hardware_node', 'demo',
+               'reproduce_paper', 'quick_start', 'go_to', 'show_robot', 'playground')
 
 
 def colcon(workspace: Path, *arguments: str) -> str:
