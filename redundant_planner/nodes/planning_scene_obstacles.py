@@ -272,13 +272,17 @@ class PlanningSceneObstacles(EndableNode):
         late = self._asked_at is not None and now - self._asked_at > _ANSWER
         if ready and (not self._was_ready or late):
             self._asked_at = now
-            request = self._messages.get_scene.Request()
-            request.components.components = _COMPONENTS
-            self._whole.call_async(request).add_done_callback(
+            self._whole.call_async(self._request()).add_done_callback(
                 lambda future: self.guard.call('the whole scene', self._on_whole, future))
         self._was_ready = ready
         if not ready:
             self._asked_at = None
+
+    def _request(self) -> Any:
+        """Return a request for the whole scene."""
+        request = self._messages.get_scene.Request()
+        request.components.components = _COMPONENTS
+        return request
 
     def _on_whole(self, future: Future) -> None:
         self._asked_at = None
