@@ -202,7 +202,7 @@ class PlanningSceneObstacles(EndableNode):
         would come twice.
         """
         def take(message: Any) -> None:
-            if not self.count_publishers(_MONITORED):
+            if not self.count_publishers(self.resolve_topic_name(_MONITORED)):
                 self._take(apply, message)
 
         return take
@@ -258,15 +258,13 @@ class PlanningSceneObstacles(EndableNode):
         self._markers.add({base: list(markers.obstacles)}, lists)
         self._attached.remove()
         self._markers.remove()
-        if self._setter is not None:
-            self._setter.update(self._contacts)
 
     def _look_around(self) -> None:
         """Publish everything again, and ask for the whole scene where it is told anew."""
         self._read_joint_states()
         self._attached.repeat()
         self._markers.repeat()
-        if self._setter is not None:
+        if self._setter is not None and self._heard:
             self._setter.update(self._contacts)
         ready, now = self._whole.service_is_ready(), time.monotonic()
         late = self._asked_at is not None and now - self._asked_at > _ANSWER

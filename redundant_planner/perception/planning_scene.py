@@ -177,9 +177,13 @@ class _Change:
         self.problems: list[str] = []
 
     def result(self) -> tuple[PlanningScene, list[str]]:
-        """Return the scene, and a sentence per problem."""
-        return replace(
-            self._scene, objects=self.objects, held=self.held, voxels=self.voxels,
+        """Return the scene, the one before if it is as it was, and a sentence per problem."""
+        before = self._scene
+        same = (self.voxels is before.voxels and self.matrix is before.matrix
+                and self.fixed is before.fixed and _same(self.objects, before.objects)
+                and _same(self.held, before.held))
+        return before if same else replace(
+            before, objects=self.objects, held=self.held, voxels=self.voxels,
             matrix=self.matrix, fixed=self.fixed), self.problems
 
     def say(self, name: str, what: str) -> None:
@@ -308,7 +312,8 @@ class _Change:
                     link, held.pose if own else made.pose, made.solids + held.solids,
                     tuple(dict.fromkeys(held.touch_links + touch)))
         self.objects.pop(thing.id, None)
-        self.held[thing.id] = made
+        # move_group lists all that is attached with each state.
+        self.held[thing.id] = held if held is not None and _alike(held, made) else made
 
     def _detach(self, message: Any) -> None:
         name, link = message.object.id, message.link_name
@@ -357,6 +362,20 @@ class _Change:
                 raise ObstacleError(f'is given in {name!r}, a subframe of {thing!r}: subframes '
                                     'are not read') from None
             raise ObstacleError(f'is given in frame {name!r}: {error}') from None
+
+
+def _same(one: Mapping[str, object], other: Mapping[str, object]) -> bool:
+    """Return whether two have the very same entries."""
+    return one.keys() == other.keys() and all(one[name] is other[name] for name in one)
+
+
+def _alike(one: HeldObject, other: HeldObject) -> bool:
+    """Return whether two objects are attached alike."""
+    return (one.link == other.link and one.touch_links == other.touch_links
+            and np.array_equal(one.pose, other.pose) and len(one.solids) == len(other.solids)
+            and all(a.kind == b.kind and np.array_equal(a.size, b.size)
+                    and np.array_equal(a.in_object, b.in_object)
+                    for a, b in zip(one.solids, other.solids)))
 
 
 def _check_name(name: str) -> None:
