@@ -88,6 +88,7 @@ setup(
             f'mujoco_hardware_node = {PACKAGE}.nodes.mujoco_hardware_node:main',
             f'scenario_player = {PACKAGE}.nodes.scenario_player:main',
             f'cloud_obstacles = {PACKAGE}.nodes.cloud_obstacles:main',
+            f'planning_scene_obstacles = {PACKAGE}.nodes.planning_scene_obstacles:main',
             f'depth_camera = {PACKAGE}.nodes.depth_camera:main',
             f'go_to = {PACKAGE}.tools.go_to:main',
             f'record_bag = {PACKAGE}.tools.record_bag:main',

@@ -20,11 +20,11 @@ from redundant_planner.nodes.child_processes import die_with, Processes, ros_arg
 
 FORKS = get_context('forkserver')
 # Nodes that only tests have.
-_OF_TESTS = ('ros2_control_stand_in',)
+_OF_TESTS = ('ros2_control_stand_in', 'scene_stand_in')
 FORKS.set_forkserver_preload([
     __name__, *_OF_TESTS, *(f'redundant_planner.nodes.{node}' for node in (
         'planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
-        'depth_camera', 'mujoco_hardware_node'))])
+        'planning_scene_obstacles', 'depth_camera', 'mujoco_hardware_node'))])
 
 
 class ForkedProcesses(Processes):

@@ -18,8 +18,8 @@ SOURCE = Path(__file__).resolve().parent.parent
 IGNORED = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log',
                                  'demo_output')
 EXECUTABLES = ('planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
-               'depth_camera', 'mujoco_hardware_node', 'demo', 'reproduce_paper',
-               'quick_start', 'go_to', 'show_robot', 'playground')
+               'planning_scene_obstacles', 'depth_camera', 'mujoco_hardware_node', 'demo',
+               'reproduce_paper', 'quick_start', 'go_to', 'show_robot', 'playground')
 
 
 def colcon(workspace: Path, *arguments: str) -> str:
@@ -47,6 +47,7 @@ def test_everything_lies_where_ros2_looks_for_it(workspace):
     share = prefix / 'share' / 'redundant_planner'
     for name in ('package.xml', 'launch/demo.launch.py', 'launch/camera.launch.py',
                  'launch/two_arms.launch.py', 'config/planner/two_arms.yaml',
+                 'launch/planning_scene.launch.py',
                  'launch/teleop.launch.py', 'config/devices/gamepad.yaml',
                  'launch/ros2_control.launch.py', 'config/ros2_control/panda_ros2_control.xml',
                  'config/ros2_control/panda_controllers.yaml',

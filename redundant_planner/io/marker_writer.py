@@ -5,6 +5,7 @@ rclpy makes a Python object of every point: 20 ms for ten thousand.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import struct
 
 import numpy as np
@@ -25,25 +26,28 @@ _REST = (struct.pack('<I', 0) + _EMPTY_TEXT + struct.pack('<iI', 0, 0) + 2 * _EM
 
 
 def cube_list_bytes(
-    namespace: str, frame: str, stamp_ns: int, size: float, centers: Array,
+    namespace: str, frame: str, stamp_ns: int, size: float, centers: Array, *, number: int = 0,
+    pose: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
 ) -> bytes:
-    """Return a CDR-serialised MarkerArray with the marker 0 of a namespace.
+    """Return a CDR-serialised MarkerArray with one marker of a namespace.
 
     Args:
         namespace: of the marker.
         frame: in which it is given.
         stamp_ns: of its header [ns].
         size: of the cubes [m].
-        centers: (k, 3) of the cubes [m]; for none, the marker says DELETE.
+        centers: (k, 3) of the cubes in the marker's pose [m]; for none, the marker says DELETE.
+        number: of the marker, its id.
+        pose: of the marker: x y z [m] and a quaternion x y z w.
     """
     head = struct.pack('<4sIiI', b'\0\1\0\0', 1, *divmod(stamp_ns, _NANOSECONDS))
     for name in (frame, namespace):
         encoded = name.encode()
         head += struct.pack(f'<I{len(encoded)}sx', len(encoded) + 1, encoded)
         head += bytes(-len(head) % 4)
-    head += struct.pack('<3i', 0, CUBE_LIST, _ADD if len(centers) else _DELETE)
+    head += struct.pack('<3i', number, CUBE_LIST, _ADD if len(centers) else _DELETE)
     head = _aligned_to_numbers(head)
-    head += struct.pack('<10d', 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, size, size, size)
+    head += struct.pack('<10d', *pose, size, size, size)
     # Colour, lifetime (unlimited) and frame_locked.
     head += struct.pack('<4fiI?3xI', *_COLOR, 0, 0, False, len(centers))
     if not len(centers):

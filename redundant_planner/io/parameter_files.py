@@ -27,7 +27,11 @@ from redundant_planner.io.node_parameters import (
     PlannerNodeParameters,
     PlayerParameters,
 )
-from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
+from redundant_planner.io.perception_parameters import (
+    CameraParameters,
+    CloudParameters,
+    SceneParameters,
+)
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
 from redundant_planner.io.renamed_parameters import flat, what_became_of
 from redundant_planner.io.resources import read_text, resolve, yaml_content
@@ -153,7 +157,7 @@ class RobotParameters:
 # All groups of parameters that the nodes have.
 SETTINGS = (RobotParameters, PlannerParameters, PlannerNodeParameters, FakeHardwareParameters,
             ClockParameters, PlayerParameters, CloudParameters, CameraParameters,
-            PhysicsParameters, MujocoHardwareParameters)
+            SceneParameters, PhysicsParameters, MujocoHardwareParameters)
 
 
 def urdf_text(parameters: RobotParameters, folder: Path | None = None) -> str:

@@ -1,4 +1,4 @@
-"""What cloud_obstacles and depth_camera need besides the robot.
+"""What cloud_obstacles, planning_scene_obstacles and depth_camera need besides the robot.
 
 Not in nodes/, for tools without ROS read the same parameter files.
 """
@@ -78,6 +78,33 @@ class CloudParameters:
         check(self)
         _check_pose('sensor_pose', self.sensor_pose)
         check_box('crop_box', self.crop_box)
+
+
+@dataclass(frozen=True)
+class SceneParameters:
+    """What planning_scene_obstacles needs besides the robot.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    scene_planner: str = parameter(
+        'planner_node', group='scene',
+        description='Node whose allowed_contacts follow the allowed collision matrix of the '
+                    'scene. Empty: nobody is told, and a gripper keeps its distance from what it '
+                    'is to grasp.')
+    scene_reach_margin: float = parameter(
+        0.5, low=0.0, high=10.0, unit='m', group='scene',
+        description="How far beyond the arm's reach cubes of an octomap count. Less than the "
+                    "planner's clearance.influence_distance, and it learns of obstacles late.")
+    allowed_contacts: tuple[str, ...] = parameter(
+        (), description="Contacts that are allowed besides those of the scene, as planner_node's "
+                        'parameter of this name; both read it from one file. Left out here, the '
+                        'scene alone decides.')
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check(self)
 
 
 @dataclass(frozen=True)

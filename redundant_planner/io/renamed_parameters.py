@@ -51,7 +51,7 @@ _GONE = {
     'lock_where_measured': "'locked_joints' takes '*=measured' now",
 }
 # The first parts of grouped names, of those that came later too.
-GROUPS = tuple(sorted({'cone', 'drive', 'follow', 'posture', 'target', *(
+GROUPS = tuple(sorted({'cone', 'drive', 'follow', 'posture', 'scene', 'target', *(
     name.partition('.')[0] for name in RENAMED.values())}))
 
 

@@ -26,7 +26,11 @@ from redundant_planner.io.node_parameters import (
     PlayerParameters,
 )
 from redundant_planner.io.parameter_files import RobotParameters, SETTINGS
-from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
+from redundant_planner.io.perception_parameters import (
+    CameraParameters,
+    CloudParameters,
+    SceneParameters,
+)
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
 from redundant_planner.io.poses import POSE_SIZES
 from redundant_planner.io.renamed_parameters import what_became_of
@@ -259,6 +263,7 @@ def parameter_page() -> str:
             ('Both simulated arms: simulated time', ClockParameters),
             ('scenario_player', PlayerParameters),
             ('cloud_obstacles', CloudParameters),
+            ('planning_scene_obstacles', SceneParameters),
             ('depth_camera', CameraParameters)):
         lines += [f'## {title}', '', '| parameter | default | unit | range | meaning |',
                   '|---|---|---|---|---|']

@@ -15,6 +15,7 @@ from geometry_msgs.msg import Twist
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
+from scene_messages import octomap
 from visualization_msgs.msg import Marker, MarkerArray
 
 from redundant_planner.core.obstacles.obstacle import Obstacle
@@ -28,13 +29,19 @@ from redundant_planner.core.safety.following import Following
 from redundant_planner.io.node_parameters import FakeHardwareParameters, PlannerNodeParameters
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import RobotParameters
-from redundant_planner.io.perception_parameters import CameraParameters, CloudParameters
+from redundant_planner.io.perception_parameters import (
+    CameraParameters,
+    CloudParameters,
+    SceneParameters,
+)
 from redundant_planner.io.physics_parameters import PhysicsParameters
 from redundant_planner.io.robot_files import Robot
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.supervisor import LISTENING, Supervisor
 from redundant_planner.perception.cloud_filter import CloudFilter
 from redundant_planner.perception.depth_camera import DepthCamera
+from redundant_planner.perception.octree import occupied
+from redundant_planner.perception.own_shape import reach_of
 from redundant_planner.physics.arm import PhysicsArm
 from redundant_planner.simulation import simulate
 
@@ -235,6 +242,16 @@ def voxels_left_after_a_second(p: CloudParameters):
     return len(world.see(seen(POSE, rest), POSE, still(PANDA_READY), 2.0))
 
 
+def cubes_of_a_map(p: SceneParameters):
+    """All is occupied around the arm, in cubes of 0.8 m."""
+    def node(depth):
+        return (b'\0\0\0\0' + (b'\xff' + 8 * node(depth - 1) if depth else b'\0'))
+
+    center, reach = reach_of(PANDA)
+    return len(occupied(octomap(node(3), 1e-4, binary=False).octomap, center,
+                        reach + p.scene_reach_margin).edges)
+
+
 def camera_of(p: CameraParameters):
     return DepthCamera(p.image_width, p.image_height, p.field_of_view, p.camera_range,
                        p.camera_noise)
@@ -310,6 +327,7 @@ CASES = [
     Case(CloudParameters, 'persistence', 0.5, 5.0, voxels_left_after_a_second, '+'),
     Case(CloudParameters, 'ray_clearing', False, True, voxels_left_after_a_second, '-',
          (('persistence', 9.0),)),
+    Case(SceneParameters, 'scene_reach_margin', 0.0, 2.0, cubes_of_a_map, '+'),
     Case(CameraParameters, 'image_width', 80, 320, points_of_a_ball, '+'),
     Case(CameraParameters, 'image_height', 60, 240, points_of_everything, '+'),
     Case(CameraParameters, 'field_of_view', 0.8, 1.6, points_of_a_ball, '-'),
@@ -329,6 +347,7 @@ NAMES_SOMETHING = {
         'rate', 'initial_joints', 'initial_positions', 'lag', 'noise', 'thread_priority'},
     PhysicsParameters: {'physics_rate'},
     CloudParameters: {'sensor_pose', 'sensor_frame', 'self_capsules'},
+    SceneParameters: {'scene_planner', 'allowed_contacts'},
     CameraParameters: {'camera_rate', 'camera_frame', 'camera_pose'},
 }
 
