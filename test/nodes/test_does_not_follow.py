@@ -129,8 +129,8 @@ def test_an_arm_that_others_have_moved_at_rest_stays_there():
 def test_an_output_that_nobody_hears_is_named():
     with station() as (ros, processes):
         arm = started(ros, processes, 'velocity_commands', listens=False)
-        ros.wait_for(lambda: says(ros, 'nobody listens to /velocity_commands'), 'an error',
-                     meanwhile=both(arm.cycle, ros.driver(FORWARD)))
+        ros.wait_for(lambda: says(ros, 'nobody listens to velocity_commands on /velocity_c'),
+                     'an error', meanwhile=both(arm.cycle, ros.driver(FORWARD)))
 
 
 def test_go_to_ends_with_the_reason():
