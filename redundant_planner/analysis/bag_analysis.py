@@ -233,6 +233,7 @@ class _Motion:
             notes.append(
                 f'{self._source} pauses {sums.gaps} times for more than {GAP:g} s, at most '
                 f'{sums.longest_gap:.6g} s; how fast the arm was meanwhile is not known')
+        notes += self._reports.notes
         notes += self._bag.problems
         intervals = np.concatenate(self._periods) if self._periods else np.empty(0, np.float32)
         return Analysis(

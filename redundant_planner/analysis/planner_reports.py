@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+import re
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,13 @@ from redundant_planner.io.bag_reader import Event
 
 Array = npt.NDArray[np.float64]
 
+# DiagnosticStatus.ERROR.
+_ERROR = 2
+# Kinds of errors that are told apart.
+_MOST_KINDS = 20
+# Ages and distances that one error says differently each time.
+_NUMBER = re.compile(r'\d+(\.\d+)?')
+
 
 @dataclass
 class PlannerReports:
@@ -20,15 +28,18 @@ class PlannerReports:
     Attributes:
         factors: time and k of Eq. 2 of every status.
         medians, longest: of the ticks since the status before [s].
+        errors: kind of an error → when it was first and last reported [s], and its sentence.
     """
 
     factors: list[tuple[float, float]] = field(default_factory=list)
     medians: list[float] = field(default_factory=list)
     longest: list[float] = field(default_factory=list)
+    errors: dict[str, tuple[float, float, str]] = field(default_factory=dict)
 
     def add(self, event: Event) -> None:
         """Take in a DiagnosticArray; entries that are no numbers are left out."""
         for status in event.message.status:
+            self._note_error(status, event.arrival)
             for entry in status.values:
                 number = _number(entry)
                 if number is None:
@@ -39,6 +50,21 @@ class PlannerReports:
                     self.medians.append(1e-6 * number)
                 elif entry.key == 'tick time, longest [us]':
                     self.longest.append(1e-6 * number)
+
+    def _note_error(self, status: Any, time: float) -> None:
+        """Remember an error of the planner's; others publish on this topic, too."""
+        if status.level != _ERROR or not status.name.endswith(': planner'):
+            return
+        kind = _NUMBER.sub('#', status.message)
+        if kind in self.errors or len(self.errors) < _MOST_KINDS:
+            first, _, sentence = self.errors.get(kind, (time, time, status.message))
+            self.errors[kind] = first, time, sentence
+
+    @property
+    def notes(self) -> list[str]:
+        """A sentence for each kind of error that was reported."""
+        return [f'from {first:.1f} to {last:.1f} s the planner reported an error: {sentence}'
+                for first, last, sentence in self.errors.values()]
 
     @property
     def factor(self) -> Array:

@@ -32,6 +32,8 @@ NEVER_ENDING = (JOINT_COMMAND, VELOCITY_COMMANDS)
 # that is due after so many periods, and lies where the arm would be by then, leads it there at an
 # even speed, and on for a period if the next message is late.
 _REACH = 2
+# How long after the first motion an output may be without a listener: nodes find each other [s].
+FOUND_WITHIN = 2.0
 
 
 class CommandOutput:
@@ -56,6 +58,7 @@ class CommandOutput:
             position_min, position_max: (n,) which no trajectory leads beyond [rad, m].
         """
         self.moved_at = np.inf
+        self._heard: set[str] = set()  # outputs that have had a listener
         self._publisher = node.create_publisher(JointState, JOINT_COMMAND, 10)
         self._writer = JointWriter(joint_names)
         self._others = {
@@ -104,11 +107,31 @@ class CommandOutput:
         return {name: int(publisher.get_subscription_count()) for name, publisher in (
             (JOINT_COMMAND, self._publisher), *self._others.items())}
 
-    def unheard(self) -> list[str]:
-        """Return the topics that nobody listens to; joint_command counts if there is no other."""
-        return [str(publisher.topic_name)
-                for publisher in list(self._others.values()) or [self._publisher]
-                if not publisher.get_subscription_count()]
+    def unheard(self, patience: float = FOUND_WITHIN) -> str:
+        """Return the sentence about outputs that nobody hears; empty if there are none.
+
+        joint_command counts where there is no other: who listens to a controller's topic need not
+        listen to that as well.
+
+        Args:
+            patience: how long after the first motion an output may still be without its first
+                listener [s].
+        """
+        moving_for = time.monotonic() - self.moved_at
+        if moving_for < 0.0:
+            return ''
+        listeners = self.listeners()
+        self._heard.update(name for name, count in listeners.items() if count)
+        return '; '.join(
+            self._sentence(name) for name in self._others or (JOINT_COMMAND,)
+            if not listeners[name] and (name in self._heard or moving_for >= patience))
+
+    def _sentence(self, name: str) -> str:
+        publisher = self._others.get(name, self._publisher)
+        listener = 'driver' if name == JOINT_COMMAND else 'controller'
+        left = ' any more' if name in self._heard else ''
+        return (f'nobody listens to {name} on {publisher.topic_name}{left}: load the {listener}, '
+                f"or remap {name} to the {listener}'s topic")
 
     def wait_until_heard(self, seconds: float) -> None:
         """Wait until reliable listeners have acknowledged the last command, or the time is up."""

@@ -35,13 +35,7 @@ from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.second_process import ACKNOWLEDGED, PAUSE, STOPS
 from redundant_planner.nodes.state_report import LoopState
-from redundant_planner.nodes.supervisor import (
-    Decision,
-    FRESH_AFTER,
-    JUMPS,
-    MOVED_BY_OTHERS,
-    Supervisor,
-)
+from redundant_planner.nodes.supervisor import Decision, FRESH_AFTER, MOVED_BY_OTHERS, Supervisor
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
 Array = npt.NDArray[np.float64]
@@ -50,8 +44,8 @@ _NO_TWIST = np.zeros(6)
 # A measured posture that jumps by more than this beyond what the arm can travel starts everything
 # again from there [rad, m].
 _JUMP = 0.1
-# An arm that does not follow is told to stay where it is, to within this [rad, m].
-_THERE = 1e-3
+# Less need not be kept clear of obstacles [m].
+_LITTLE = 1e-3
 
 
 class ControlLoop:
@@ -110,6 +104,8 @@ class ControlLoop:
         self._joints = JointReader(robot.joint_names)
         self._position_command = PositionCommand(limits_of(robot, planner.parameters))
         self._following = Following(robot.joint_names, self._period, settings.follow_tolerance)
+        # Where an arm stands that does not follow; None if it moves.
+        self._anchor: Array | None = None
         self._wished_at = -np.inf  # when somebody commanded the arm last
         self._stop = SmoothStop(robot.acceleration_max, robot.jerk_max, self._period)
         self._last_command: Array | None = None  # velocities; None while the arm rests
@@ -259,8 +255,8 @@ class ControlLoop:
         dq = self._stop.next()
         self._send(dq, TickKind.BRAKING)
         self.planner.braked(dq, self._period)
-        if not dq.any() and (not self.supervisor.astray or self._position_command.is_near(
-                self._posture(), _THERE)):
+        if not dq.any() and (not self.supervisor.astray or self._anchor is None
+                             or self._position_command.is_at(self._anchor)):
             self._last_command = None
             self.command.forget()
 
@@ -271,7 +267,8 @@ class ControlLoop:
             kind = TickKind.STARTING
             self.planner.reset()
             self._following.begin(posture, sum(_drive_of(self.planner)))
-            self._position_command.start(posture, self._lead)
+            # Whoever wakes up takes what comes first for where to be.
+            self._position_command.start(posture, 0.0 if self.supervisor.tries else self._lead)
         twist, ahead, target = _NO_TWIST, None, None
         if ignore_command:
             self._forget_target(ignore_command)
@@ -313,12 +310,11 @@ class ControlLoop:
             return
         following.tolerance = self.settings.follow_tolerance
         reason = following.tick(self._last_command, self._posture(), tries=supervisor.tries)
-        if supervisor.jumps_again and wishes:
-            reason = JUMPS
         if reason and (supervisor.tries or not supervisor.astray):
-            unheard = self.output.unheard()
-            supervisor.does_not_follow(
-                reason + (f'; nobody listens to {", ".join(unheard)}' if unheard else ''))
+            unheard = self.output.unheard(patience=0.0)
+            # One that moves is told nothing new: it might go astray on the way to where it is.
+            self._anchor = None if following.moves_alone else self._posture()
+            supervisor.does_not_follow(f'{reason} {unheard}'.rstrip())
         elif supervisor.tries and following.has_followed:
             supervisor.follows()
         if self.now - self._wished_at < FRESH_AFTER:
@@ -336,19 +332,19 @@ class ControlLoop:
     def _where_it_may_be(self, dq: Array, kind: TickKind) -> tuple[Array | None, Array | None]:
         """Return the posture (n,) that commanded positions keep to, and how near (n,) [rad, m].
 
-        An arm that does not follow is where it is measured. Otherwise positions may be ahead of
+        An arm that does not follow is where it was found. Otherwise positions may be ahead of
         the planned posture by what the drives explain, as long as no link gets nearer to an
         obstacle than it is.
         """
         if self.supervisor.astray and not self.supervisor.tries:
-            return self._posture(), None
+            return self._anchor, None
         if kind is TickKind.BRAKING or not isinstance(self.planner, Planner):
             return None, None
         lead = self._lead + self._following.travel
         nearest = self.state.result.nearest if self.state.result is not None else None
         if nearest is not None:
             reach = float((self.planner.robot.lever_arm_bounds @ lead).max())
-            lead = lead * min(1.0, max(nearest.distance, 0.0) / max(reach, _THERE))
+            lead = lead * min(1.0, max(nearest.distance, 0.0) / max(reach, _LITTLE))
         return self.planner.posture_ahead, lead
 
     def _posture(self) -> Array:

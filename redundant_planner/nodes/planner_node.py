@@ -26,7 +26,6 @@ from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.payload import Payload
 from redundant_planner.nodes import runtime
-from redundant_planner.nodes.audience import Audience
 from redundant_planner.nodes.chores import Chores
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.command_output import CommandOutput, NEVER_ENDING
@@ -83,8 +82,6 @@ class PlannerNode(EndableNode):
         self._warn = ThrottledLog(self.get_logger().warning)
         self._chores = Chores(self.guard)
         self._settings = Settings.declared(self)
-        # Who listens to a controller's topic need not listen to joint_command.
-        self._audience = Audience(self._topics(self._settings.node.outputs or [JOINT_COMMAND]))
         self._settings.obstacles()  # refused now rather than when the robot is known
         self._startup: Startup | None = Startup(
             self, self._settings.robot, self._settings.capsules, self._warn, self._start)
@@ -277,8 +274,7 @@ class PlannerNode(EndableNode):
             publishers_of(self, 'joint_command'), publishers_of(self, 'cmd_vel'))
         output, state = self.loop.output, self.loop.state
         state.listeners, before = output.listeners(), state.unheard
-        state.unheard = self._audience.missing(
-            state.listeners, time.monotonic() - output.moved_at)
+        state.unheard = output.unheard()
         if state.unheard not in (before, ''):
             self._warn(state.unheard)
         before = state.last_word

@@ -25,10 +25,6 @@ MOVED_BY_OTHERS = 5e-3
 LONGEST_GAP = 1.0
 # A command after a pause of this length is a fresh one [s].
 FRESH_AFTER = 0.3
-# Two jumps within this time are not of somebody who has moved the arm [s].
-_JUMPS_AGAIN = 2.0
-JUMPS = ('the arm does not follow: joint_states jump each time that it is commanded; does the '
-          "controller have the joints in another order than this planner's?")
 _MOVED = 'something else has moved the arm: it stays where it is'
 # The answer to who pauses a planner that somebody has paused before.
 PAUSED_ALREADY = 'paused already: the arm is left to others'
@@ -61,7 +57,6 @@ class Supervisor:
         failure: the fault that holds the arm until `reset`; empty without one.
         astray: why the arm does not follow; empty if it does.
         tries: whether it may try again, gently.
-        jumps_again: whether it has jumped twice in a short time.
         listening: whether the arm has not been allowed to move yet, so that a command on its topic
             comes from another node.
     """
@@ -95,8 +90,6 @@ class Supervisor:
         self.tries = False
         self._quiet_since = np.inf  # when the last command ended
         self._moved_by_others = False
-        self._jumped_at = -np.inf
-        self.jumps_again = False
 
     def measured(self, posture: Array, now: float) -> None:
         """Take a measured posture (n,), and see whether the arm has jumped [rad, m; s]."""
@@ -109,14 +102,11 @@ class Supervisor:
                 self.posture, posture, self._velocity_max, now - self._measured_at,
                 self._position_tolerance):
             self._restart = 'joint_states jumped: the motion starts again from where the arm is'
-            self.jumps_again = now - self._jumped_at < _JUMPS_AGAIN
-            self._jumped_at = now
         self.posture, self._measured_at = posture, now
 
     def does_not_follow(self, reason: str) -> None:
         """Stop an arm that does not do what it is told, until a fresh command comes."""
         self.astray, self.tries, self._quiet_since = reason, False, np.inf
-        self.jumps_again = False
 
     def follows(self) -> None:
         """Note that the arm follows again."""
@@ -238,11 +228,12 @@ class Supervisor:
             return Decision(
                 f'no usable joint_states for {age:.1f} s', is_fault=True,
                 warning=f'no usable joint_states for {joint_state_timeout:g} s: stopped')
+        # An arm that leaps as it is commanded has jumped, too.
+        if self.astray and not self.tries:
+            return Decision(self.astray, is_fault=True, warning=self.astray)
         if self._restart and not at_rest:
             return Decision(self._restart, is_fault=True, warning=self._restart)
         self._restart = ''
-        if self.astray and not self.tries:
-            return Decision(self.astray, is_fault=True, warning=self.astray)
         if self._moved_by_others and not at_rest:
             return Decision(_MOVED, warning=_MOVED)
         self._moved_by_others = False

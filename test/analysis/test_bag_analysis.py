@@ -339,6 +339,26 @@ def test_twists_and_factors_that_are_no_numbers_are_left_out(tmp_path):
     assert '1 messages on cmd_vel are left out: they cannot be decoded' in notes
 
 
+def test_what_the_planner_reported_as_an_error_is_said_once_with_its_time(tmp_path):
+    path = tmp_path / 'astray'
+    said = [(DiagnosticStatus.OK, 'planning', 'planner'),
+            *((DiagnosticStatus.ERROR, f"does not follow: joint 'a' by 0.{i}", 'planner')
+              for i in range(1, 4)),
+            (DiagnosticStatus.ERROR, 'no power', 'battery'),
+            (DiagnosticStatus.WARN, 'paused', 'planner')]
+    with BagWriter(path) as bag:
+        bag.add_topic('/joint_states', KINDS['joint_states'])
+        bag.add_topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
+        for i, (level, message, who) in enumerate(said):
+            bag.write('/diagnostics', ns(0.2 * i), serialize_message(DiagnosticArray(
+                status=[DiagnosticStatus(level=level, name=f'/left/{who}: {who}',
+                                         message=message)])))
+            bag.write_joints('/joint_states', ns(0.2 * i), ('a',), np.zeros(1), np.zeros(1))
+    notes = [note for note in analyse(path).notes if 'error' in note]
+    assert notes == ["from 0.2 to 0.6 s the planner reported an error: does not follow: joint 'a' "
+                     'by 0.1']
+
+
 @pytest.mark.parametrize(('names', 'reason'), [
     ((), 'they name no joint'), (tuple(map(str, range(300))), 'they name 300 joints'),
     (('\x1b[2J',), 'their joint names are no text'),

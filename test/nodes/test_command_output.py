@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from copy import copy
+import time
 from types import SimpleNamespace
 
 from hypothesis import given, strategies as st
 import numpy as np
 import pytest
-from ros2_control_stand_in import Manager, Point, POSITION, Settings, TRAJECTORY, VELOCITY
 
+from benchmark.ros2_control import Manager, Point, POSITION, Settings, TRAJECTORY, VELOCITY
 from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.io.node_parameters import OUTPUTS
-from redundant_planner.nodes.audience import Audience, FOUND_WITHIN
-from redundant_planner.nodes.command_output import CommandOutput
+from redundant_planner.nodes.command_output import CommandOutput, FOUND_WITHIN
 from redundant_planner.nodes.messages import seconds_of
 
 NAMES, T = ('a', 'b'), 0.004
@@ -24,16 +24,23 @@ TOP = np.array([0.5, -0.3])
 class Topic(list):
     """A publisher that keeps what it publishes."""
 
+    def __init__(self, name):
+        super().__init__()
+        self.topic_name, self.listeners = f'/arm/{name}', 0
+
+    def get_subscription_count(self):
+        return self.listeners
+
     def publish(self, message):
         self.append(copy(message))
 
 
-def output(topics, low=-2.0, high=2.0):
+def output(topics, low=-2.0, high=2.0, outputs=OUTPUTS):
     def create_publisher(kind, name, depth):
-        topics[name] = Topic()
+        topics[name] = Topic(name)
         return topics[name]
 
-    return CommandOutput(SimpleNamespace(create_publisher=create_publisher), NAMES, OUTPUTS, T,
+    return CommandOutput(SimpleNamespace(create_publisher=create_publisher), NAMES, outputs, T,
                          np.full(2, low), np.full(2, high))
 
 
@@ -140,25 +147,32 @@ def test_no_trajectory_leads_beyond_the_limits_or_further_out(position, velocity
 
 
 def test_outputs_that_nobody_hears_are_named_once_the_arm_should_move():
-    audience = Audience({'velocity_commands': '/velocity_commands',
-                         'joint_trajectory': '/jtc/joint_trajectory'})
-    nobody = {'joint_command': 1, 'velocity_commands': 0, 'joint_trajectory': 0}
-    both = dict.fromkeys(nobody, 1)
-    assert audience.missing(nobody, -np.inf) == ''
-    assert audience.missing(nobody, 0.5 * FOUND_WITHIN) == ''
-    assert audience.missing(nobody, FOUND_WITHIN) == (
-        "nobody listens to velocity_commands on /velocity_commands: load the controller, or remap "
-        "velocity_commands to the controller's topic; nobody listens to joint_trajectory on "
-        '/jtc/joint_trajectory: load the controller, or remap joint_trajectory to the '
+    topics = {}
+    commands = output(topics, outputs=('velocity_commands', 'joint_trajectory'))
+    velocities, trajectories = topics['velocity_commands'], topics['joint_trajectory']
+    assert commands.unheard() == ''
+    commands.moved_at = time.monotonic() - 0.5 * FOUND_WITHIN
+    assert commands.unheard() == ''
+    assert commands.unheard(patience=0.0) == (
+        'nobody listens to velocity_commands on /arm/velocity_commands: load the controller, or '
+        "remap velocity_commands to the controller's topic; nobody listens to joint_trajectory "
+        'on /arm/joint_trajectory: load the controller, or remap joint_trajectory to the '
         "controller's topic")
-    assert audience.missing(both, 3.0) == ''
-    assert audience.missing(both | {'velocity_commands': 0}, 3.5) == (
-        'nobody listens to velocity_commands on /velocity_commands any more: load the controller, '
-        "or remap velocity_commands to the controller's topic")
+    velocities.listeners = trajectories.listeners = 1
+    commands.moved_at -= FOUND_WITHIN
+    assert commands.unheard() == ''
+    velocities.listeners = 0
+    assert commands.unheard() == (
+        'nobody listens to velocity_commands on /arm/velocity_commands any more: load the '
+        "controller, or remap velocity_commands to the controller's topic")
 
 
-def test_a_listener_that_leaves_is_missed_at_once():
-    audience = Audience({'joint_command': '/joint_command'})
-    assert audience.missing({'joint_command': 1}, 0.1) == ''
-    assert audience.missing({'joint_command': 0}, 0.6).startswith(
-        'nobody listens to joint_command on /joint_command any more: load the driver')
+def test_joint_command_counts_where_there_is_no_other_output():
+    topics = {}
+    commands = output(topics, outputs=())
+    topics['joint_command'].listeners = 1
+    commands.moved_at = time.monotonic()
+    assert commands.unheard() == ''
+    topics['joint_command'].listeners = 0
+    assert commands.unheard().startswith(
+        'nobody listens to joint_command on /arm/joint_command any more: load the driver')

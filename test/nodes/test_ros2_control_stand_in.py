@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ros2_control_stand_in import Manager, Point, POSITION, Settings, TRAJECTORY, VELOCITY
+
+from benchmark.ros2_control import Manager, Point, POSITION, Settings, TRAJECTORY, VELOCITY
 
 NAMES, T = ('finger', 'a', 'b'), 0.004
 START = np.array([0.01, 0.5, -0.5])

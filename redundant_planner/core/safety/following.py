@@ -30,6 +30,9 @@ _FORGETTING, _FORGETTING_MOVES = 3.0, 0.5
 _GAIN = 1.1
 # Measured motion within this is noise [rad, m].
 _NOISE = 2.5e-3
+# An arm that moves without a command so soon after the first one takes it for another joint's, or
+# was elsewhere for its controller: positions make it leap [s].
+_JUST_BEGUN = 0.3
 # A joint that was told to move so far, and has done so by this share, follows; one that was told
 # three times as much and has not does not [rad, m].
 _FIRST_MOTION, _FIRST_SHARE = 0.01, 0.3
@@ -45,15 +48,16 @@ class Following:
 
     Attributes:
         tolerance: how far a joint may be behind besides [rad, m]; 0 for any distance.
+        moves_alone: whether a joint of late has moved without a command.
     """
 
     def __init__(self, joint_names: Sequence[str], dt: float, tolerance: float) -> None:
         """Prepare for n joints and ticks of dt [s]."""
-        self.tolerance = tolerance
+        self.tolerance, self.moves_alone = tolerance, False
         self._names, self._dt = joint_names, dt
         self._state = np.zeros((8, len(joint_names)))
         self._travels = np.zeros((1, len(joint_names)))
-        self._at = 0
+        self._at = self._begins = 0
 
     def begin(self, measured: Array, delay: float) -> None:
         """Begin anew with an arm at rest.
@@ -66,6 +70,7 @@ class Following:
         self._state[_MEASURED] = measured
         ticks = round((WINDOW + delay) / self._dt) + 1
         self._travels, self._at = np.zeros((ticks, len(measured))), 0
+        self._begins = round(_JUST_BEGUN / self._dt)
 
     def rest(self) -> None:
         """Count from here what the arm is moved by without a command."""
@@ -103,22 +108,39 @@ class Following:
             tries: whether the arm is to show by a small motion that it follows.
         """
         at, self._at = self._at, (self._at + 1) % len(self._travels)
-        bad = _watch(self._state, self._travels[at], dq, measured, self.tolerance, self._dt)
+        self._begins -= 1
+        stays, self.moves_alone = _watch(
+            self._state, self._travels[at], dq, measured, self.tolerance, self._dt)
+        leaps = self.moves_alone and self._begins > 0
         if tries:
             told, done = self._first_motion
-            bad = bad or (told >= 3.0 * _FIRST_MOTION and done < _FIRST_SHARE * told)
-        return self._words() if bad and self.tolerance > 0.0 else ''
+            stays = stays or (told >= 3.0 * _FIRST_MOTION and done < _FIRST_SHARE * told)
+        if self.tolerance <= 0.0 or not (stays or leaps):
+            return ''
+        return self._words_of_a_leap() if leaps and not stays else self._words()
+
+    @property
+    def _movers(self) -> str:
+        """The joints that move without a command, the farthest first."""
+        beside = np.abs(self._state[_BESIDE])
+        return ', '.join(f"'{self._names[j]}'" for j in np.argsort(-beside)
+                         if beside[j] > self.tolerance + self._state[_RECENT, j])
+
+    def _words_of_a_leap(self) -> str:
+        far = float(np.abs(self._state[_BESIDE]).max())
+        return (f'the arm does not follow: joint {self._movers} moved by up to {far:.3f} rad or m '
+                'without a command as soon as the arm was commanded; does the controller have '
+                "the joints in another order than this planner's, or does something else move "
+                'the arm?')
 
     def _words(self) -> str:
-        lost, beside = np.abs(self._state[_LOST]), np.abs(self._state[_BESIDE])
+        lost = np.abs(self._state[_LOST])
         least = min(self.tolerance, float(lost.max()))
         stand = [f"joint '{self._names[i]}' stays behind by {lost[i]:.3f}"
                  for i in np.argsort(-lost) if lost[i] >= least]
-        move = [f"'{self._names[j]}'" for j in np.argsort(-beside)
-                if beside[j] > self.tolerance + self._state[_RECENT, j]]
-        if move:
+        if self._movers:
             return (f'the arm does not follow: {", ".join(stand)} rad or m, while joint '
-                    f'{", ".join(move)} moves without a command; does the controller have the '
+                    f'{self._movers} moves without a command; does the controller have the '
                     "joints in another order than this planner's?")
         return (f'the arm does not follow: {", ".join(stand)} rad or m; is its controller active, '
                 'does it listen to this output, and does the hardware move?')
@@ -128,8 +150,8 @@ class Following:
 def _watch(
     state: OutMatrix, travels: OutVector, dq: Vector, measured: Vector, tolerance: float,
     dt: float,
-) -> bool:
-    """Bring the state up to date; return whether a joint does not follow.
+) -> tuple[bool, bool]:
+    """Bring the state up to date; return whether a joint does not follow, and if one moves alone.
 
     Args:
         state: of `Following`.
@@ -165,4 +187,4 @@ def _watch(
         # An arm that comes to rest late coasts by no more than it was told of late.
         if abs(state[_BESIDE, i]) > tolerance + state[_RECENT, i]:
             moves = i
-    return late or (stands >= 0 and moves >= 0 and stands != moves)
+    return late or (stands >= 0 and moves >= 0 and stands != moves), moves >= 0

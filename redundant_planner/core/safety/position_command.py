@@ -10,6 +10,8 @@ from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
 
+# Positions this near are the same [rad, m].
+_SAME = 1e-9
 
 class PositionCommand:
     """The integral of the velocity commands, held near the posture that is planned from.
@@ -17,7 +19,8 @@ class PositionCommand:
     It starts at the measured posture and then follows the commands alone: adding q̇ dt to every
     measurement instead would leave a position-controlled arm standing behind its own lag. Where
     it leads further ahead of the planned posture than the drive explains, as after a push or with
-    a joint that stands, it comes back within the limits of velocity and acceleration.
+    a joint that stands, it comes back within the limits of velocity and acceleration, and stops
+    in time for the end of a joint's range.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -42,9 +45,9 @@ class PositionCommand:
             self._q = measured
         self._dq = self._no_lead
 
-    def is_near(self, posture: Array, distance: float) -> bool:
-        """Return whether the last posture is within a distance of this one (n,) [rad, m]."""
-        return self._q is None or float(np.abs(self._q - posture).max()) <= distance
+    def is_at(self, posture: Array) -> bool:
+        """Return whether the last posture is this one (n,) [rad, m]."""
+        return self._q is None or bool((np.abs(self._q - posture) <= _SAME).all())
 
     def advance(
         self, dq: Array, dt: float, planned: Array | None = None, lead: Array | None = None,
@@ -68,32 +71,42 @@ class PositionCommand:
 
 
 @compiled
+def _stoppable(distance: float, acceleration: float, dt: float) -> float:
+    """Return the largest speed of a tick after which a joint can stop within a distance.
+
+    v dt + v² / (2 a) ≤ d: braking by a dt in each tick keeps that from tick to tick.
+    """
+    gain = acceleration * dt
+    return np.sqrt(gain * gain + 2.0 * acceleration * distance) - gain
+
+
+@compiled
 def _advance(
     q: OutVector, speed: OutVector, before: Vector, dq: Vector, planned: Vector, lead: Vector,
     limits: Limits, dt: float,
 ) -> None:
     """Write the next positions (n,) and their velocities, which were those of the last tick."""
     for i in range(len(q)):
+        most = limits.acceleration_max[i]
+        # An arm found outside its range is not pulled: only its velocity command moves it.
+        low = min(limits.positions[1, i] - limits.margin, before[i])
+        high = max(limits.positions[0, i] + limits.margin, before[i])
         # Where the velocities lead, and the nearest place to that where it may be.
         goes = before[i] + dq[i] * dt
         to = min(max(goes, planned[i] - lead[i]), planned[i] + lead[i])
+        to = min(max(to, low), high)
         wanted = dq[i]
         if to != goes:
-            # As fast as it can still come to rest there, with what the drive has to spare.
-            off = to - goes
-            back = min(abs(off) / dt, np.sqrt(limits.acceleration_max[i] * abs(off)))
-            wanted += back if off > 0.0 else -back
-        step = limits.acceleration_max[i] * dt
-        wanted = min(max(wanted, speed[i] - step), speed[i] + step)
+            # With half of the acceleration, as the command may take the other half.
+            back = _stoppable(abs(to - goes), 0.5 * most, dt)
+            wanted += back if to > goes else -back
+        wanted = min(max(wanted, speed[i] - most * dt), speed[i] + most * dt)
         wanted = min(max(wanted, -limits.velocity_max[i]), limits.velocity_max[i])
+        wanted = min(max(wanted, -_stoppable(before[i] - low, most, dt)),
+                     _stoppable(high - before[i], most, dt))
         there = before[i] + wanted * dt
-        if to != goes and abs(there - to) < 1e-12 + 1e-9 * abs(to):
+        if to != goes and abs(there - to) < _SAME:
             there = to
-        # An arm found outside its range is not pulled: only its velocity command moves it.
-        if wanted != 0.0:
-            low = min(limits.positions[1, i] - limits.margin, before[i])
-            high = max(limits.positions[0, i] + limits.margin, before[i])
-            there = min(max(there, low), high)
         q[i], speed[i] = there, (there - before[i]) / dt
 
 

@@ -1,0 +1,139 @@
+"""The planner's loop in front of simulated controllers: what came of it with real ones, or not.
+
+Each row of what was measured behind the real ros2_control is a test here, by simulated time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmark.controlled_loop import ControlledLoop
+from benchmark.following import clear, COMMANDS, GUILTY, guilty, INNOCENT, innocent
+from benchmark.ros2_control import OUTPUTS, POSITION, Settings, TRAJECTORY, VELOCITY
+from benchmark.scenarios import make_robot
+
+PANDA = make_robot('panda', 6)
+READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+FORWARD = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+STARTS = 1.5  # the planner listens before it moves the arm [s]
+
+
+def behind(controller, **options):
+    """Return a loop that is about to move a Panda."""
+    run = ControlledLoop(PANDA, READY, controller, **options)
+    run.run(STARTS)
+    return run
+
+
+@pytest.mark.parametrize('output', OUTPUTS)
+@pytest.mark.parametrize('command', COMMANDS)
+@pytest.mark.parametrize('case', ['inactive', 'frozen'])
+def test_nothing_waits_for_a_controller_that_wakes_up(case, command, output):
+    outcome = guilty(case, output, command)
+    # A stream that begins slowly has told the arm little by then.
+    assert outcome.error_s <= (0.6 if command == 'stream' else 0.5) and outcome.rest_s <= 1.0
+    assert outcome.awake_speed <= 0.05 and outcome.awake_way <= 2e-3
+    assert outcome.follows
+    assert outcome.step <= 1.05 and outcome.acceleration <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize('output', [POSITION, TRAJECTORY])
+@pytest.mark.parametrize('case', [case for case in GUILTY if case not in ('inactive', 'frozen')])
+def test_positions_keep_velocity_and_acceleration_whatever_the_arm_does(case, output):
+    outcome = guilty(case, output, 'cmd_vel')
+    assert outcome.step <= 1.05 and outcome.acceleration <= 1.0 + 1e-6
+
+
+def test_swapped_joints_are_named_before_they_are_far_off():
+    joints = list(PANDA.joint_names)
+    joints[1], joints[3] = joints[3], joints[1]
+    run = behind(VELOCITY, joints=joints)
+    run.drive(FORWARD)
+    begin, at = run.now, run.manager.q.copy()
+    assert run.run(1.0, until=lambda: bool(run.loop.state.astray))
+    assert "'panda_joint2'" in run.error and "'panda_joint4'" in run.error
+    assert 'another order' in run.error
+    run.run(5.0)
+    assert np.abs(run.motion(begin).positions - at)[:, [1, 3]].max() < 0.1
+    moving = np.abs(run.motion(begin).velocities).max(axis=1) > 1e-9
+    assert run.motion(begin).times[moving][-1] - begin <= 1.0
+
+
+def test_swapped_joints_that_take_positions_leap_once():
+    joints = list(PANDA.joint_names)
+    joints[1], joints[3] = joints[3], joints[1]
+    run = ControlledLoop(PANDA, READY, POSITION, joints=joints)
+    run.run(5.0)
+    leaps = np.abs(run.motion().velocities).max(axis=1) > 5.0
+    assert leaps.sum() == 1
+    assert 'as soon as the arm was commanded' in run.error and "'panda_joint4'" in run.error
+    assert run.loop.at_rest
+    begin = run.now
+    run.drive(FORWARD)
+    run.run(3.0)
+    assert (np.abs(run.motion(begin).velocities).max(axis=1) > 5.0).sum() == 1
+
+
+def test_names_in_trajectories_swap_nothing():
+    run = behind(TRAJECTORY, joints=PANDA.joint_names[::-1])
+    run.drive(FORWARD)
+    run.run(1.0)
+    assert not run.error and np.abs(run.manager.q - READY).max() > 0.05
+
+
+@pytest.mark.parametrize('output', OUTPUTS)
+def test_where_others_have_moved_the_arm_it_stays(output):
+    """MoveIt's usual switch of controllers, without a pause."""
+    run = behind(output)
+    run.drive(FORWARD)
+    run.run(0.5)
+    run.drive(None)
+    run.run(1.0)
+    run.manager.settings = Settings(active=False, moved=dict.fromkeys(PANDA.joint_names, 0.12))
+    run.run(2.0)
+    run.manager.settings = Settings(active=False)
+    run.run(0.2)
+    at, begin = run.manager.q.copy(), run.now
+    run.manager.settings = Settings()
+    run.run(2.0)
+    assert np.abs(run.motion(begin).positions - at).max() < 2e-3
+    assert np.abs(run.motion(begin).velocities).max() <= 0.05
+    run.drive(FORWARD)
+    run.run(1.0)
+    assert not run.error and np.abs(run.manager.q - at).max() > 0.05
+
+
+@pytest.mark.parametrize('output', OUTPUTS)
+def test_at_equal_rates_the_arm_moves_as_smoothly_as_its_commands(output):
+    run = behind(output)
+    begin = run.now
+    for axis in np.eye(6)[:3]:
+        for sign in (1.0, -1.0):
+            run.drive(0.1 * sign * axis)
+            run.run(0.8)
+    moved, told = run.motion(begin).velocities, run.commands(begin).velocities
+    assert run.manager.refused == 0
+    assert np.diff(moved, axis=0).std() <= 1.01 * np.diff(told, axis=0).std()
+    assert (np.abs(moved[50:]).max(axis=1) > 0.0).all()
+
+
+@pytest.mark.parametrize('output', OUTPUTS)
+@pytest.mark.parametrize('case', INNOCENT)
+def test_an_arm_that_is_late_or_loose_or_pushed_follows(case, output):
+    outcome = innocent(case, output, 10.0, 3)
+    assert outcome.alarms == 0 and outcome.restarts == 0
+
+
+def test_without_a_tolerance_nobody_says_anything():
+    run = behind(VELOCITY, follow_tolerance=0.0, settings=Settings(active=False))
+    run.drive(FORWARD)
+    run.run(3.0)
+    assert not run.error
+
+
+@pytest.mark.parametrize('seed', range(10))
+def test_positions_are_clear_where_the_plan_is(seed):
+    outcome = clear(seed)
+    assert not outcome.touches
+    assert outcome.step <= 1.05
