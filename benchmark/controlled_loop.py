@@ -244,9 +244,11 @@ class ControlledLoop:
             'joint_trajectory': self._on_trajectory}.get(topic, self._on_values))
 
     def _on_command(self, raw: bytes) -> None:
-        _, positions, velocities = self._reader.state(raw)
+        self._reader.read(raw)
+        velocities = self._reader.velocities(raw)
         assert velocities is not None
-        self._commands.append((self.now, positions, velocities, self.loop.planner.posture_ahead))
+        self._commands.append(
+            (self.now, self._reader.posture, velocities, self.loop.planner.posture_ahead))
 
     def _on_values(self, message: Any) -> None:
         self.manager.forward(message.data)

@@ -23,7 +23,9 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.bag_reader import Bag, Event, open_bag
 from redundant_planner.io.bag_storage import RecordingError
-from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk, JointsMissingError
+from redundant_planner.io.joint_chunk import GAP, JointChunk
+from redundant_planner.io.joint_chunks import ChosenJoints, JointsMissingError
+from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.left_out import LeftOut
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.payload import Payload
@@ -119,13 +121,13 @@ class _Motion:
             number_of(values, 'incoming_command_timeout', COMMAND_TIMEOUT, 10.0))
         self._clearance = SmallestClearance(robot) if robot is not None else None
         self._payload = Payload(robot) if robot is not None else None
-        self._joints = ChosenJoints(
-            source, robot.joint_names if robot is not None else (), bag.left_out)
+        names, seams = ((), None) if robot is None else (robot.joint_names, Seams.of(robot))
+        self._joints = ChosenJoints(source, names, bag.left_out, seams)
         self._sums, self._rows = JointSums(0), ThinnedRows(1)
         rate = number_of(values, 'rate', 0.0, 1e6)
         self._period = 1.0 / rate if rate > 0.0 else None
         self._command_joints = self._joints if source == 'joint_command' else ChosenJoints(
-            'joint_command', robot.joint_names if robot is not None else (), bag.left_out)
+            'joint_command', names, bag.left_out, seams)
         self._commands: Commands | None = None
         self._periods: list[npt.NDArray[np.float32]] = []
         self._last_stamp: float | None = None
@@ -146,9 +148,12 @@ class _Motion:
                 continue
             if item.topic == 'joint_command':
                 self._take_stamps(item.stamps)
-                self._take_commands(item)
+                commanded = self._take_commands(item)
             if item.topic == self._source:
-                self._take_joints(item)
+                self._take_things(float(item.arrivals[0]))
+                self._take_postures(
+                    commanded if self._source == 'joint_command' else self._joints.of(item))
+        self._take_postures(self._joints.rest())
         if not self._sums.samples:
             self._joints.check_found()
             raise RecordingError('; '.join((
@@ -178,19 +183,22 @@ class _Motion:
         self._periods.append(np.diff(stamps).astype(np.float32))
         self._last_stamp = float(stamps[-1])
 
-    def _take_commands(self, chunk: JointChunk) -> None:
+    def _take_commands(self, chunk: JointChunk) -> JointChunk | None:
         self._command_joints.names = self._command_joints.names or self._joints.names
         chosen = self._command_joints.of(chunk)
         if chosen is None:
-            return
+            return None
         if self._commands is None:
             self._commands = Commands(len(chosen.names), self._period)
         self._commands.add(chosen.stamps, chosen.velocities)
+        return chosen
 
-    def _take_joints(self, chunk: JointChunk) -> None:
-        self._tracker.expire(float(chunk.arrivals[0]))
-        self._hold(float(chunk.arrivals[0]))
-        chosen = self._joints.of(chunk)
+    def _take_things(self, now: float) -> None:
+        """See which obstacles there still are, and what the hand holds, at a time [s]."""
+        self._tracker.expire(now)
+        self._hold(now)
+
+    def _take_postures(self, chosen: JointChunk | None) -> None:
         if chosen is None:
             return
         if not self._sums.samples:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis.bounded_series import ThinnedRows
-from redundant_planner.io.joint_chunks import GAP
+from redundant_planner.io.joint_chunk import GAP
 
 Array = npt.NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.io.joint_chunks import GAP
+from redundant_planner.io.joint_chunk import GAP
 
 Array = npt.NDArray[np.float64]
 

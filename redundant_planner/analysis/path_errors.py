@@ -9,7 +9,7 @@ from redundant_planner.analysis import metrics
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.io.joint_chunks import GAP
+from redundant_planner.io.joint_chunk import GAP
 
 Array = npt.NDArray[np.float64]
 

@@ -16,7 +16,9 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.target.goal import Target
 from redundant_planner.io.bag_reader import Bag, Event
 from redundant_planner.io.bag_storage import RecordingError
-from redundant_planner.io.joint_chunks import ChosenJoints, GAP, JointChunk
+from redundant_planner.io.joint_chunk import GAP, JointChunk
+from redundant_planner.io.joint_chunks import ChosenJoints
+from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.plausible import LARGEST
 from redundant_planner.io.preview_reader import read_preview
 from redundant_planner.io.printable import printable
@@ -83,7 +85,7 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
     inputs.topics = obstacle_topics(values)
     places = {topic: i for i, topic in enumerate(bag.call(inputs.topics))}
     inputs.obstacles = [[] for _ in places]
-    joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out)
+    joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out, Seams.of(robot))
               for topic in ('joint_states', 'joint_command')}
     for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', *places,
                           'attached', 'cmd_vel_preview', 'target_pose', 'target_joints',
@@ -125,6 +127,9 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
             elif topic == 'attached':
                 inputs.attached.append((item.arrival, item.raw))
             inputs.raw.append((topic, item.arrival, item.raw))
+    waiting = joints['joint_states'].rest()
+    if waiting is not None:
+        _extend(inputs.parts, waiting)
     if not inputs.parts:
         joints['joint_states'].check_found()
         raise RecordingError('; '.join((

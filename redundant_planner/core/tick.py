@@ -167,7 +167,8 @@ def _total_gradient(
         _, manipulability = criteria.manipulability_index(parts, changes)
         manipulability = criteria.fade(nearness) * manipulability
     if gains.posture_weight > 0.0:
-        _, posture = criteria.posture_index(arm.q, constants.preferred)
+        _, posture = criteria.posture_index(
+            arm.q, constants.preferred, constants.position_max)
     return criteria.total_gradient(
         clearance, joint_limit, shortest_path, manipulability, posture, criteria.IndexWeights(
             gains.criteria_k_w, gains.criteria_k_s, gains.criteria_k_f, gains.criteria_k_m,

@@ -15,7 +15,8 @@ from redundant_planner.core.errors import known
 from redundant_planner.io.bag_files import bag_files
 from redundant_planner.io.bag_storage import BagFile, RecordingError
 from redundant_planner.io.bag_writer import JOINT_STATE, TYPES
-from redundant_planner.io.joint_chunks import JointBatch, JointChunk
+from redundant_planner.io.joint_chunk import JointChunk
+from redundant_planner.io.joint_chunks import JointBatch
 from redundant_planner.io.left_out import LeftOut
 from redundant_planner.io.unpacking import unpacked_message
 
@@ -133,8 +134,6 @@ class Bag:
                     continue
                 if name in _STREAMS:
                     batch = batches.setdefault(name, JointBatch(name, self.left_out))
-                    if not batch.fits(raw):
-                        yield from batch.chunk(self.origin_ns)
                     batch.add(arrival, raw)
                     if batch.full:
                         yield from batch.chunk(self.origin_ns)

@@ -19,7 +19,16 @@ MOST_JOINTS = 1000
 
 
 class LayoutError(StateError):
-    """The bytes are no JointState, or its lists differ in length."""
+    """The bytes are no JointState, or its lists differ in length.
+
+    Attributes:
+        names: of the joints, as far as they could be read.
+    """
+
+    def __init__(self, message: str, names: tuple[str, ...] = ()) -> None:
+        """Say what is wrong with a message, and whose it is."""
+        super().__init__(message)
+        self.names = names
 
 
 class JointLayout(NamedTuple):
@@ -92,7 +101,8 @@ def _layout(raw: bytes) -> JointLayout:
         values, at = count(at)
         fixed.append((at - 4, at))
         if field == 'position' and values != number:
-            raise LayoutError(f'{number} joint names came with {values} {field} values')
+            raise LayoutError(
+                f'{number} joint names came with {values} {field} values', tuple(names))
         at = aligned(at, 8) if values else at
         offsets[field] = at if values == number > 0 else 0
         at += 8 * values

@@ -110,6 +110,9 @@ class FakeHardwareParameters:
     noise: float = parameter(
         0.0, low=0.0, high=0.1, unit='rad, m',
         description='Standard deviation of the noise on published positions.')
+    wrap_continuous: bool = parameter(
+        False, description='Whether joints that turn without end are published within (−π, π], '
+                           'as most drivers do. If not, their positions go on for ever.')
     thread_priority: int = parameter(
         40, low=0, high=98,
         description='Real-time priority (SCHED_FIFO), where the system grants it; 0 for none. '

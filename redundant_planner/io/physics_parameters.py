@@ -81,6 +81,9 @@ class MujocoHardwareParameters:
     noise: float = parameter(
         0.0, low=0.0, high=0.1, unit='rad, m',
         description='Standard deviation of the noise on published positions.')
+    wrap_continuous: bool = parameter(
+        False, description='Whether joints that turn without end are published within (−π, π], '
+                           'as most drivers do. If not, their positions go on for ever.')
     static_obstacles: tuple[str, ...] = parameter(
         (), description="Names of fixed obstacles that are bodies, described as planner_node's "
                         'static_obstacle.NAME parameters: one file serves both nodes.')

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_storage import RecordingError
-from redundant_planner.io.joint_chunks import ChosenJoints, columns_of, JointChunk
+from redundant_planner.io.joint_chunk import JointChunk
+from redundant_planner.io.joint_chunks import ChosenJoints, columns_of
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
 
@@ -98,6 +99,9 @@ def read_recording(path: Path) -> Recording:
                 book.update(item.raw, item.arrival)
             else:
                 description = item.message.data
+        for topic, chosen in joints.items():
+            found = chosen.rest()
+            chunks[topic] += [found] if found is not None else []
     for topic, listed in chunks.items():
         if not listed:
             raise RecordingError(f"'{path}' holds no messages on {topic}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import time
 from typing import Any, NamedTuple
 
@@ -14,10 +14,11 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from redundant_planner.core.errors import ObstacleError, StateError
+from redundant_planner.core.errors import known, ObstacleError, StateError
 from redundant_planner.core.obstacles.scene import rotations
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.cloud_layout import cloud_layout, CloudLayout, points_of
+from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.marker_writer import cube_list_bytes
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.payload import Payload
@@ -33,7 +34,7 @@ from redundant_planner.nodes.startup import Startup
 from redundant_planner.nodes.throttled_log import ThrottledLog
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.perception.cloud_filter import CloudFilter, MOST_VOXELS, SensorPose
-from redundant_planner.perception.posture_buffer import Fit, Posture, PostureBuffer
+from redundant_planner.perception.posture_buffer import Fit, Posture, PosturesInParts
 
 Array = npt.NDArray[np.float64]
 
@@ -94,8 +95,8 @@ class CloudObstacles(EndableNode):
         self._filter = CloudFilter(own, self._settings)
         self._base = robot.base_frame
         self._transform = transform_lookup(self, robot.base_frame)
-        self._postures = PostureBuffer(robot.velocity_max)
-        self._reader = JointReader(robot.joint_names)
+        self._postures = PosturesInParts(robot.velocity_max)
+        self._reader = JointReader(robot.joint_names, Seams.of(robot))
         self._joints = PolledSubscription(self, JointState, 'joint_states', _JOINT_STATES)
         self._obstacles = self.create_publisher(MarkerArray, 'obstacles', 10)
         self._heard_at = time.monotonic()
@@ -172,7 +173,7 @@ class CloudObstacles(EndableNode):
             pose = None
             try:
                 if posture.fit is not Fit.KNOWN:
-                    raise StateError(_why(posture, len(self._postures)))
+                    raise StateError(_why(posture, self._reader.missing))
                 pose = self._pose(cloud.layout)
             except (StateError, ObstacleError) as error:
                 final = posture.fit in (Fit.TOO_OLD, Fit.GAP) or (
@@ -190,13 +191,16 @@ class CloudObstacles(EndableNode):
         """Take in the measurements that have come."""
         for raw, published_ns in self._joints.fetch_stamped():
             try:
-                stamp_ns, q, dq = self._reader.state(raw)
+                which = self._reader.read(raw)
+                stamp_ns, dq = self._reader.stamp_ns(raw), self._reader.velocities(raw)
             except StateError as error:
                 self._warn(f'joint_states ignored: {error}')
                 continue
+            if not len(which):
+                continue
             # Without a stamp it counts as measured when it was published.
             stamp = (stamp_ns or published_ns) / NANOSECONDS
-            if self._postures.add(stamp, q, dq):
+            if self._postures.add(stamp, which, self._reader.posture[which], dq):
                 self._warn('the clock of joint_states was set back: earlier ones no longer count')
 
     def _pose(self, layout: CloudLayout) -> SensorPose:
@@ -246,10 +250,11 @@ class CloudObstacles(EndableNode):
             self._warn(f'no points for {silent:.0f} s: the {count} voxels stay as last seen')
 
 
-def _why(posture: Posture, count: int) -> str:
-    """Return why no posture fits a cloud's stamp, out of so many."""
-    if not count:
-        return 'no joint_states have come; without them the arm would see itself'
+def _why(posture: Posture, missing: Sequence[str]) -> str:
+    """Return why no posture fits a cloud's stamp; joints are missing that were never measured."""
+    if missing:
+        return (f'no joint_states of {known(missing)} have come; without them the arm would see '
+                'itself')
     away = f'{posture.away:.3g} s'
     return {
         Fit.TOO_EARLY_TO_SAY: f'their stamp is {away} later than the newest joint_states; do the '

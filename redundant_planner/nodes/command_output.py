@@ -71,25 +71,32 @@ class CommandOutput:
         self._trajectory.header.stamp = Time()
         self._due = Duration(seconds=_REACH * period).to_msg()
 
-    def publish(self, stamp_ns: int, positions: Array, velocities: Array) -> None:
+    def publish(
+        self, stamp_ns: int, positions: Array, velocities: Array, turned: Array | float = 0.0,
+    ) -> None:
         """Publish a command, (n,) each.
 
         Args:
             stamp_ns: of the message [ns].
             positions: where the arm should be one period from now [rad, m].
             velocities: [rad/s, m/s].
+            turned: by how much the arm's driver counts further than `positions` [rad]: it is told
+                positions near those that it measures, so that none goes the long way round.
         """
-        self._publisher.publish(self._writer.message(stamp_ns, positions, velocities))
+        counted = positions + turned
+        self._publisher.publish(self._writer.message(stamp_ns, counted, velocities))
         if self.moved_at == np.inf and velocities.any():
             self.moved_at = time.monotonic()
         for name, publisher in self._others.items():
             if name == JOINT_TRAJECTORY:
-                publisher.publish(self._trajectory_to(positions, velocities))
+                publisher.publish(self._trajectory_to(positions, velocities, turned))
             else:
                 publisher.publish(Float64MultiArray(data=_numbers(
-                    positions if name == POSITION_COMMANDS else velocities)))
+                    counted if name == POSITION_COMMANDS else velocities)))
 
-    def _trajectory_to(self, positions: Array, velocities: Array) -> JointTrajectory:
+    def _trajectory_to(
+        self, positions: Array, velocities: Array, turned: Array | float,
+    ) -> JointTrajectory:
         """Return the trajectory that carries a command on until its point is due.
 
         The point has no velocities: joint_trajectory_controller refuses a last point that moves.
@@ -99,7 +106,7 @@ class CommandOutput:
         reached = np.clip(reached, np.minimum(self._min, positions),
                           np.maximum(self._max, positions))
         self._trajectory.points = [JointTrajectoryPoint(
-            positions=_numbers(reached), time_from_start=self._due)]
+            positions=_numbers(reached + turned), time_from_start=self._due)]
         return self._trajectory
 
     def listeners(self) -> dict[str, int]:

@@ -20,6 +20,7 @@ from redundant_planner.core.safety.following import Following
 from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.core.target.goal import Target
+from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.payload import Payload
@@ -86,7 +87,7 @@ class ControlLoop:
         """
         robot = planner.robot
         self.planner = planner
-        self.supervisor = Supervisor(robot.velocity_max, _JUMP)
+        self.supervisor = Supervisor(robot.velocity_max, _JUMP, robot.joint_names)
         self.command, self.obstacles, self.output = command, obstacles, output
         self.attached = ObstacleInput(
             ['attached'], ObstacleSources([attached.tracker]), 1.0 / settings.rate, guard, warn)
@@ -101,7 +102,7 @@ class ControlLoop:
         self.clock = clock
         self._last_word, self._guard, self._warn = last_word, guard, warn
         self._publish_tick = publish_tick
-        self._joints = JointReader(robot.joint_names)
+        self._joints = JointReader(robot.joint_names, Seams.of(robot))
         self._position_command = PositionCommand(limits_of(robot, planner.parameters))
         self._following = Following(robot.joint_names, self._period, settings.follow_tolerance)
         # Where an arm stands that does not follow; None if it moves.
@@ -130,9 +131,14 @@ class ControlLoop:
     def on_joint_states(self, raw: bytes) -> None:
         """Take a serialised JointState."""
         try:
-            self.supervisor.measured(self._joints.positions(raw), self.now)
+            which = self._joints.read(raw)
         except StateError as error:
             self._warn(f'joint_states ignored: {error}')
+            return
+        if len(which):
+            self.supervisor.measured(self._joints.posture, self.now, which)
+        else:
+            self.supervisor.heard_others(self._joints.others)
 
     def on_target(self, raw: bytes) -> None:
         """Take a serialised target_pose."""
@@ -379,8 +385,9 @@ class ControlLoop:
             dq, self._period, *self._where_it_may_be(dq, kind))
         self.pacer.wait()
         stamp_ns = self.clock.stamp_ns()
-        self._last_word.note(stamp_ns, positions, dq)
-        self.output.publish(stamp_ns, positions, dq)
+        turned = self._joints.turned
+        self._last_word.note(stamp_ns, positions + turned, dq)
+        self.output.publish(stamp_ns, positions, dq, turned)
         self._last_command, self._is_sent = dq, True
         if self._publish_tick is not None:
             elapsed = self.command.preview_elapsed() if ahead is not None else np.nan

@@ -7,10 +7,11 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from redundant_planner.core.errors import StateError
+from redundant_planner.core.errors import known, StateError
 from redundant_planner.core.obstacles.scene import rotations
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.cloud_writer import cloud_bytes
+from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.perception_parameters import CameraParameters
@@ -54,7 +55,7 @@ class DepthCameraNode(EndableNode):
         """Begin to see a robot that was built with these parameters."""
         self._robot = robot
         self._radii = np.array([capsule.radius for capsule in robot.capsules])
-        self._reader = JointReader(robot.joint_names)
+        self._reader = JointReader(robot.joint_names, Seams.of(robot))
         self._time = loop_clock(self)
         self._tracker = ObstacleTracker((), sorted({robot.base_frame, ''}))
         self._joints = PolledSubscription(self, JointState, 'joint_states')
@@ -78,12 +79,14 @@ class DepthCameraNode(EndableNode):
             self._startup = None
         for raw, published_ns in self._joints.fetch_stamped():
             try:
-                stamp_ns, q, _ = self._reader.state(raw)
-                self._seen = q, stamp_ns or published_ns
+                if len(self._reader.read(raw)) and not self._reader.missing:
+                    self._seen = (self._reader.posture,
+                                  self._reader.stamp_ns(raw) or published_ns)
             except StateError as error:
                 self._warn(f'joint_states ignored: {error}')
         if self._seen is None:
-            self._warn('waiting for joint_states: the camera shows the arm where it is')
+            self._warn(f'waiting for joint_states of {known(self._reader.missing)}: the camera '
+                       'shows the arm where it is')
             return
         q, stamp_ns = self._seen
         self._tracker.expire(self._time.now())

@@ -12,6 +12,7 @@ from std_msgs.msg import String
 
 from redundant_planner.core.errors import ParameterError, StateError
 from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
+from redundant_planner.io.joint_turns import wrapped
 from redundant_planner.io.node_parameters import ClockParameters, FakeHardwareParameters
 from redundant_planner.io.parameter_files import RobotParameters, urdf_text
 from redundant_planner.nodes import messages, runtime
@@ -46,7 +47,7 @@ class FakeHardwareNode(EndableNode):
             command_timeout=settings.command_timeout)
         self._noise = settings.noise
         self._random = np.random.default_rng(0)
-        self._lag = settings.lag
+        self._lag, self._wraps = settings.lag, settings.wrap_continuous
         self._delayed: deque[tuple[float, Array]] = deque()
 
         self._publisher = self.create_publisher(JointState, 'joint_states', 10)
@@ -98,6 +99,8 @@ class FakeHardwareNode(EndableNode):
         q = self._arm.q
         if self._noise > 0.0:
             q = q + self._random.normal(0.0, self._noise, q.shape)
+        if self._wraps:
+            q = wrapped(q, self._arm.ranges.position_max)
         self._publisher.publish(self._writer.message(self._time.stamp_ns(), q, self._arm.dq))
 
 

@@ -19,6 +19,8 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import known, ParameterError, StateError
+from redundant_planner.core.robot.turns import nearest_turn
+from redundant_planner.io.joint_turns import wrapped
 from redundant_planner.io.node_parameters import ClockParameters
 from redundant_planner.io.obstacle_bounds import checked
 from redundant_planner.io.obstacle_entries import obstacle_of
@@ -151,6 +153,8 @@ class MujocoHardwareNode(EndableNode):
         except StateError as error:
             self._warn(f'joint_command ignored: {error}')
             return
+        # Its planner may count other turns of a joint without limits.
+        positions = nearest_turn(positions, self._arm.q, self._arm.ranges.position_max)
         self._arm.command(self._time.now(), velocities, positions)
         self._time.commanded(message.header.stamp)
 
@@ -166,6 +170,8 @@ class MujocoHardwareNode(EndableNode):
         q = arm.q
         if self._settings.noise > 0.0:
             q = q + self._random.normal(0.0, self._settings.noise, q.shape)
+        if self._settings.wrap_continuous:
+            q = wrapped(q, arm.ranges.position_max)
         self._states.publish(self._writer.message(
             self._time.stamp_ns(), q, arm.dq, arm.torques))
         if self._film is not None:

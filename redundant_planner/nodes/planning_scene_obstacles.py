@@ -151,7 +151,6 @@ class PlanningSceneObstacles(EndableNode):
         self._waiting: deque[_Waiting] = deque()
         # Whether a frame was asked for that may yet become known.
         self._missing = False
-        self._posture: Array | None = None
         self._heard = False
         self._asked_at: float | None = None
         self._was_ready = False
@@ -305,10 +304,10 @@ class PlanningSceneObstacles(EndableNode):
         return response
 
     def _read_joint_states(self) -> None:
-        """Take in the latest measurement."""
+        """Take in the latest measurements."""
         for raw in self._joints.fetch():
             try:
-                self._posture = self._reader.positions(raw)
+                self._reader.read(raw)
             except StateError as error:
                 self._warn(f'joint_states ignored: {error}')
 
@@ -326,10 +325,11 @@ class PlanningSceneObstacles(EndableNode):
             corners = robot.in_link(robot.base_frame, name, corners)
         elif name in self._moving:
             self._read_joint_states()
-            if self._posture is None:
+            if self._reader.missing:
                 self._missing = True
-                raise ObstacleError('no joint_states of the arm have come, and it moves')
-            corners = robot.in_base(self._posture, name, corners)
+                raise ObstacleError(
+                    f'no joint_states of {known(self._reader.missing)} have come, and it moves')
+            corners = robot.in_base(self._reader.posture, name, corners)
         elif self._transform is None:
             raise ObstacleError("tf2_ros is not installed, and without it only "
                                 f"'{robot.base_frame}' and the arm's own links are known")

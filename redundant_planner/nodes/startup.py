@@ -21,6 +21,8 @@ from redundant_planner.nodes.settings import Entries
 
 # After a robot could not be built from measured joints, how long until the next attempt [s].
 _RETRY = 1.0
+# Publishers of joint_states find their way to this node within this, one after the other [s].
+_FOUND_WITHIN = 1.0
 
 
 class Startup:
@@ -54,6 +56,7 @@ class Startup:
         self._wanted: set[str] = set()
         self._measured: dict[str, float] = {}
         self._retry_at = -np.inf
+        self._heard_at = np.inf  # when joint_states came first [s]
 
     def begin(self) -> None:
         """Start at once if the parameters say everything, or wait for the rest.
@@ -101,6 +104,10 @@ class Startup:
             name: position for name, position in zip(message.name, message.position)
             if name in self._wanted and np.isfinite(position)}
         missing = sorted(self._wanted - set(self._measured))
+        now = time.monotonic()
+        self._heard_at = min(self._heard_at, now)
+        if missing and now < self._heard_at + _FOUND_WITHIN:
+            return  # another publisher may have them
         if missing:
             self._warn('joint_states lacks joints that locked_joints waits for: '
                        f'{known(missing)}')

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.errors import known
 from redundant_planner.core.safety.position_command import has_jumped
 
 Array = npt.NDArray[np.float64]
@@ -25,6 +26,8 @@ MOVED_BY_OTHERS = 5e-3
 LONGEST_GAP = 1.0
 # A command after a pause of this length is a fresh one [s].
 FRESH_AFTER = 0.3
+# Publishers of the joints find their way to this node within this, one after the other [s].
+_FOUND_WITHIN = 1.0
 _MOVED = 'something else has moved the arm: it stays where it is'
 # The answer to who pauses a planner that somebody has paused before.
 PAUSED_ALREADY = 'paused already: the arm is left to others'
@@ -53,7 +56,7 @@ class Supervisor:
     """Collects what bears on the arm's permission to move; `decide` draws the conclusion.
 
     Attributes:
-        posture: (n,) the latest measurement [rad, m]; None before the first.
+        posture: (n,) the latest measurement of each joint [rad, m]; None before all have one.
         failure: the fault that holds the arm until `reset`; empty without one.
         astray: why the arm does not follow; empty if it does.
         tries: whether it may try again, gently.
@@ -61,20 +64,26 @@ class Supervisor:
             comes from another node.
     """
 
-    def __init__(self, velocity_max: Array, position_tolerance: float) -> None:
+    def __init__(
+        self, velocity_max: Array, position_tolerance: float, joint_names: Sequence[str] = (),
+    ) -> None:
         """Begin without a measurement.
 
         Args:
             velocity_max: (n,) the joints' limits [rad/s, m/s].
             position_tolerance: a measured posture that is further from the one before than the
                 arm can travel, plus this, is a jump [rad, m].
+            joint_names: of the n joints, for sentences.
         """
         self.posture: Array | None = None
         self.failure = ''
         self.listening = True
         self._velocity_max = velocity_max
         self._position_tolerance = position_tolerance
-        self._measured_at = -np.inf
+        self._names = joint_names
+        self._measured_at = np.full(len(velocity_max), -np.inf)  # each joint
+        self._heard_at = np.inf  # when a joint of the arm was measured for the first time
+        self._others: Sequence[str] = ()
         # Where the arm was when listening began, and until when it goes on.
         self._first_posture: Array | None = None
         self._listen_until = np.inf
@@ -91,18 +100,37 @@ class Supervisor:
         self._quiet_since = np.inf  # when the last command ended
         self._moved_by_others = False
 
-    def measured(self, posture: Array, now: float) -> None:
-        """Take a measured posture (n,), and see whether the arm has jumped [rad, m; s]."""
+    def measured(
+        self, posture: Array, now: float, which: npt.NDArray[np.intp] | None = None,
+    ) -> None:
+        """Take a measured posture, and see whether the arm has jumped.
+
+        Args:
+            posture: (n,) the latest of each joint [rad, m]; NaN where there is none yet.
+            now: [s].
+            which: (k,) the joints that were measured now; None for all.
+        """
+        elapsed = now - self._measured_at
+        if which is None:
+            self._measured_at[:] = now
+        else:
+            self._measured_at[which] = now
+        self._heard_at = min(self._heard_at, now)
+        if np.isnan(posture).any():
+            return
         if self._first_posture is None or (self.listening and float(
                 np.abs(posture - self._first_posture).max()) > MOVED_BY_OTHERS):
             # The middleware finds other nodes at about the time it finds the arm. An arm in motion
             # is commanded by a node that it may not have found yet.
             self._first_posture, self._listen_until = posture, now + LISTENING
         elif not self.listening and self.posture is not None and has_jumped(
-                self.posture, posture, self._velocity_max, now - self._measured_at,
-                self._position_tolerance):
+                self.posture, posture, self._velocity_max, elapsed, self._position_tolerance):
             self._restart = 'joint_states jumped: the motion starts again from where the arm is'
-        self.posture, self._measured_at = posture, now
+        self.posture = posture
+
+    def heard_others(self, joint_names: Sequence[str]) -> None:
+        """Note joint_states of other joints than the arm's."""
+        self._others = joint_names
 
     def does_not_follow(self, reason: str) -> None:
         """Stop an arm that does not do what it is told, until a fresh command comes."""
@@ -181,8 +209,8 @@ class Supervisor:
         return self.listening and now < self._listen_until <= now + seconds
 
     def measurement_age(self, now: float) -> float:
-        """Return how long ago the latest measurement came [s]; infinite without one."""
-        return now - self._measured_at
+        """Return how old the oldest joint's measurement is [s]; infinite where one has none."""
+        return float(now - self._measured_at.min())
 
     def decide(self, now: float, at_rest: bool, joint_state_timeout: float) -> Decision:
         """Return what the arm may do in the tick that begins now.
@@ -208,26 +236,46 @@ class Supervisor:
             return False
         self._restart = f'the clock jumped by {gap:.3f} s: the motion starts again'
         # Times in the future would stay young for ever.
-        self._measured_at = min(self._measured_at, now)
+        self._measured_at = np.minimum(self._measured_at, now)
+        self._heard_at = min(self._heard_at, now) if np.isfinite(self._heard_at) else np.inf
         self._listen_until = min(self._listen_until, now + LISTENING)
         return True
 
     def _start(self, now: float) -> Decision | None:
         """Return why the arm must wait for its first motion, if it must."""
         if self.posture is None:
-            return Decision('waiting for joint_states')
+            return self._waits(now)
         if self.listening and now < self._listen_until:
             return Decision('listening whether another node commands this arm')
         self.listening = False
         return None
 
+    def _waits(self, now: float) -> Decision:
+        """Say which joints the arm waits for."""
+        missing = self._measured_at == -np.inf
+        if missing.all():
+            if not self._others:
+                return Decision('waiting for joint_states')
+            return Decision(f'waiting for joint_states of {self._named(missing)}; those that '
+                            f'come are of {known(self._others)}')
+        what = f'waiting for joint_states of {self._named(missing)}'
+        age = now - self._heard_at
+        missing_for = f'{what}: missing for {age:.1f} s'
+        return Decision(missing_for, warning=missing_for if age > _FOUND_WITHIN else '')
+
+    def _named(self, joints: npt.NDArray[np.bool_]) -> str:
+        return known(name for name, named in zip(self._names, joints) if named)
+
     def _fault(self, now: float, at_rest: bool, joint_state_timeout: float) -> Decision | None:
         """Return which fault stops the arm, if one does."""
-        age = now - self._measured_at
+        age = self.measurement_age(now)
         if age > joint_state_timeout:
+            late = now - self._measured_at > joint_state_timeout
+            what = 'no usable joint_states' + (
+                '' if late.all() else f' of {self._named(late)}')
             return Decision(
-                f'no usable joint_states for {age:.1f} s', is_fault=True,
-                warning=f'no usable joint_states for {joint_state_timeout:g} s: stopped')
+                f'{what} for {age:.1f} s', is_fault=True,
+                warning=f'{what} for {joint_state_timeout:g} s: stopped')
         # An arm that leaps as it is commanded has jumped, too.
         if self.astray and not self.tries:
             return Decision(self.astray, is_fault=True, warning=self.astray)

@@ -113,3 +113,50 @@ class PostureBuffer:
             if dq is not None:
                 speed = np.maximum(speed, np.abs(dq))
         return Posture(Fit.KNOWN, q0 + share * (q1 - q0), speed, 0.0)
+
+
+class PosturesInParts:
+    """The postures of the last seconds of n joints that are measured in any parts."""
+
+    def __init__(self, velocity_max: Array) -> None:
+        """Begin empty; `velocity_max` (n,) as for `PostureBuffer`."""
+        self._velocity_max = velocity_max
+        self._parts: dict[tuple[int, ...], PostureBuffer] = {}
+
+    def add(
+        self, stamp: float, which: npt.NDArray[np.intp], q: Array, dq: Array | None,
+    ) -> bool:
+        """Take in a measurement of some joints.
+
+        Args:
+            stamp: of the message [s].
+            which: (k,) the joints, by number.
+            q, dq: (k,) as for `PostureBuffer.add`.
+
+        Returns:
+            Whether the clock was set back.
+        """
+        part = tuple(which.tolist())
+        if part not in self._parts:
+            self._parts[part] = PostureBuffer(self._velocity_max[which])
+        return self._parts[part].add(stamp, q, dq)
+
+    def at(self, stamp: float) -> Posture:
+        """Return the arm at a moment [s], each part between two measurements of its own."""
+        n = len(self._velocity_max)
+        q, speed = np.full(n, np.nan), np.zeros(n)
+        unknown = Posture(Fit.TOO_EARLY_TO_SAY, np.empty(0), np.empty(0), np.inf)
+        unfit: list[tuple[list[int], Posture]] = []
+        for part, buffer in self._parts.items():
+            found, joints = buffer.at(stamp), list(part)
+            if found.fit is Fit.KNOWN:
+                q[joints], speed[joints] = found.q, np.maximum(found.speed, speed[joints])
+            else:
+                unfit.append((joints, found))
+        lacking = np.isnan(q)
+        if not lacking.any():
+            return Posture(Fit.KNOWN, q, speed, 0.0)
+        reasons = [found for joints, found in unfit if lacking[joints].any()]
+        # What may still come is waited for.
+        return min(reasons, key=lambda found: found.fit is not Fit.TOO_EARLY_TO_SAY,
+                   default=unknown)

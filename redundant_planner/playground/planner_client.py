@@ -27,6 +27,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.goal import Target
+from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.parameter_files import settings_of
 from redundant_planner.io.recorded_configuration import (
@@ -45,6 +46,8 @@ Array = npt.NDArray[np.float64]
 
 # An arm that has been silent for this long is not there [s].
 _SILENCE = 1.0
+# Joint states that may wait for a look at them: the latest of several publishers.
+_STATES = 20
 # A command that has been silent for this long is none [s].
 _SILENCE_OF_TWIST = 0.2
 # Commands, and messages of a topic of obstacles, that may wait for a look at them. Of commands a
@@ -136,7 +139,7 @@ class PlannerClient:
         self._states, self._commands, self._heard_twists = (
             PolledSubscription(node, kind, topic, QoSProfile(
                 depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT))
-            for kind, topic, depth in ((JointState, 'joint_states', 1),
+            for kind, topic, depth in ((JointState, 'joint_states', _STATES),
                                        (JointState, 'joint_command', _COMMANDS),
                                        (Twist, 'cmd_vel', 1)))
         self._twist, self._twist_at = np.zeros(6), -np.inf
@@ -166,8 +169,9 @@ class PlannerClient:
             return
         states, commands = self._states.fetch(), self._commands.fetch()
         try:
-            if states:
-                _, q, _ = self._reader.state(states[-1])
+            heard = [len(self._reader.read(raw)) for raw in states]
+            if any(heard) and not self._reader.missing:
+                q = self._reader.posture
                 if self.motion is None:
                     self.motion = Motion(q, np.zeros(robot.n), np.zeros(robot.n))
                 self.motion.measured, self.motion.heard = q, time.monotonic()
@@ -214,9 +218,10 @@ class PlannerClient:
 
     def _take_command(self, raw: bytes) -> None:
         motion = self.motion
-        stamp, _, dq = self._commands_reader.state(raw)
-        if motion is None or dq is None:
+        which, dq = self._commands_reader.read(raw), self._commands_reader.velocities(raw)
+        if motion is None or dq is None or len(which) < len(motion.commanded):
             return
+        stamp = self._commands_reader.stamp_ns(raw)
         period = 1e-9 * (stamp - motion.command_stamp)
         if motion.command_stamp and 0.0 < period < _SILENCE:
             motion.periods.append(period)
@@ -236,7 +241,8 @@ class PlannerClient:
                 robot = robot_of_values(values)
                 self._made_of, self.robot, self.motion = made_of, robot, None
                 self._reader, self._commands_reader = (
-                    JointReader(robot.joint_names), JointReader(robot.joint_names))
+                    JointReader(robot.joint_names, Seams.of(robot)),
+                    JointReader(robot.joint_names))
             self._listen_to_obstacles(values, notes)
             self.trouble = ''
         except PlannerError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+import contextlib
 import signal
 import sys
 import time
@@ -31,10 +32,11 @@ from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.progress import TargetState
+from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import configuration_of
 from redundant_planner.io.robot_files import robot_of_values
-from redundant_planner.nodes.messages import positions_from_message
+from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
 from redundant_planner.nodes.state_report import DOES_NOT_FOLLOW, TARGET
 from redundant_planner.nodes.supervisor import PAUSED_ALREADY
@@ -66,7 +68,8 @@ class _Client:
         """
         self.node = Node('go_to', enable_rosout=False, start_parameter_services=False)
         self.configuration = ''
-        self.state: JointState | None = None
+        self._reader: JointReader | None = None
+        self._speeds = np.zeros(0)  # of each joint, NaN where it was not heard since [rad/s, m/s]
         self.status: DiagnosticStatus | None = None
         self.heard = -np.inf  # when the status came [s]
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -78,7 +81,7 @@ class _Client:
         self.node.create_subscription(
             DiagnosticArray, f'{planner}/target', self._on_status, latched)
         self.node.create_subscription(
-            JointState, 'joint_states', self._on_state, qos_profile_sensor_data)
+            JointState, 'joint_states', self._on_state, qos_profile_sensor_data, raw=True)
         self._executor = best_executor(self.node.context)
         self._executor.add_node(self.node)
         self._planner = planner
@@ -88,8 +91,13 @@ class _Client:
     def _on_configuration(self, message: String) -> None:
         self.configuration = message.data
 
-    def _on_state(self, message: JointState) -> None:
-        self.state = message
+    def _on_state(self, raw: bytes) -> None:
+        if self._reader is None:
+            return
+        with contextlib.suppress(StateError):
+            which = self._reader.read(raw)
+            dq = self._reader.velocities(raw)
+            self._speeds[which] = 0.0 if dq is None else np.abs(dq)
 
     def _on_status(self, message: DiagnosticArray) -> None:
         """Keep what is said of the target that was sent, and of nothing earlier."""
@@ -103,7 +111,9 @@ class _Client:
         """Listen for a while [s]."""
         spin_once(self._executor, seconds)
 
-    def wait_for(self, condition: Callable[[], object], what: str) -> None:
+    def wait_for(
+        self, condition: Callable[[], object], what: str | Callable[[], str],
+    ) -> None:
         """Listen until something holds.
 
         Raises:
@@ -112,9 +122,10 @@ class _Client:
         until = time.monotonic() + _PATIENCE
         while not condition():
             if time.monotonic() > until:
+                lacking = what if isinstance(what, str) else what()
                 raise StateError(
-                    f'no {what} within {_PATIENCE:g} s; is {self._planner} running, in the same '
-                    'ROS domain and namespace? --planner names another')
+                    f'no {lacking} within {_PATIENCE:g} s; is {self._planner} running, in the '
+                    'same ROS domain and namespace? --planner names another')
             self.spin()
 
     def arm(self) -> tuple[Robot, Array]:
@@ -126,14 +137,16 @@ class _Client:
         self.wait_for(lambda: self.configuration, 'configuration of a planner')
         for topic in (self.target, self.joint_target):
             self.wait_for(topic.get_subscription_count, f'listener on {topic.topic_name}')
-        self.wait_for(lambda: self.state is not None, 'joint_states')
         notes: list[str] = []
         values = configuration_of(self.configuration, notes)
         if not values:
             raise StateError(f"the planner's configuration is unusable: {'; '.join(notes)}")
         robot = robot_of_values(values)
-        assert self.state is not None
-        return robot, positions_from_message(self.state, robot.joint_names)
+        reader = self._reader = JointReader(robot.joint_names, Seams.of(robot))
+        self._speeds = np.zeros(robot.n)
+        self.wait_for(lambda: not reader.missing,
+                      lambda: f'joint_states of {known(reader.missing)}')
+        return robot, reader.posture
 
     def send(self, target: Target, robot: Robot) -> None:
         """Publish a target."""
@@ -181,11 +194,10 @@ class _Client:
         if answer is None:
             return f'{self._planner} does not answer'
         rests = False
+        self._speeds[:] = np.nan
         while not rests and time.monotonic() < until:
-            self.state = None
             self.spin(0.1)
-            rests = self.state is not None and (
-                np.abs(self.state.velocity).max(initial=0.0) < _AT_REST)
+            rests = bool((self._speeds < _AT_REST).all())
         if answer != PAUSED_ALREADY and self._ask_for_pause(False, until + 1.0) is None:
             return f'{self._planner} stays paused: it does not answer any more'
         return '' if rests else f'it does not come to rest within {_STOPPING:g} s'

@@ -16,7 +16,8 @@ from redundant_planner.analysis.drive_fit import drive_fit, DriveFit, Motion
 from redundant_planner.core.errors import PlannerError, StateError
 from redundant_planner.core.parameters import AXES
 from redundant_planner.io.bag_reader import open_bag
-from redundant_planner.io.joint_chunks import ChosenJoints, JointChunk
+from redundant_planner.io.joint_chunk import JointChunk
+from redundant_planner.io.joint_chunks import ChosenJoints
 from redundant_planner.io.printable import printable
 
 
@@ -39,6 +40,8 @@ def motion_of_bag(path: Path, namespace: str) -> tuple[Motion, tuple[str, ...]]:
             joints = ChosenJoints(topic, names, bag.left_out)
             found = [chosen for chunk in chunks if chunk.topic == topic
                      and (chosen := joints.of(chunk)) is not None]
+            waiting = joints.rest()
+            found += [waiting] if waiting is not None else []
             if not found:
                 joints.check_found()
                 raise StateError(f"'{path}' has no {topic} that can be used")

@@ -26,7 +26,7 @@ from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_repair import close_mcap, repair
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
-from redundant_planner.io.joint_chunks import JointChunk
+from redundant_planner.io.joint_chunk import JointChunk
 from redundant_planner.tools.record_bag import main as record_bag
 
 COUNT = 60

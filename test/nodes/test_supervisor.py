@@ -63,6 +63,7 @@ def test_it_knows_no_ros_and_no_clock():
     named |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import)
               for alias in node.names}
     assert named == {'__future__', 'collections.abc', 'typing', 'numpy', 'numpy.typing',
+                     'redundant_planner.core.errors',
                      'redundant_planner.core.safety.position_command'}
 
 

@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from redundant_planner.io.bag_reader import open_bag
-from redundant_planner.io.joint_chunks import JointChunk
+from redundant_planner.io.joint_chunk import JointChunk
 from redundant_planner.tools.record_bag import main as record_bag
 
 pytestmark = LIVE

@@ -27,6 +27,7 @@ from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.cone import cone_room
 from redundant_planner.core.robot.kinematics import along_in, Chain, KinematicsAlong
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.turns import short_way
 
 Array = npt.NDArray[np.float64]
 
@@ -156,7 +157,7 @@ def _path_cost(
                     hessian[here, there] = hessian[there, here] = -stiffness * along
         for j in range(n):
             preference = joints.preference * (times[i + 1] - times[i])
-            off = base[i, j] - joints.preferred[j]
+            off = short_way(base[i, j] - joints.preferred[j], joints.position_max[j])
             if preference == 0.0 or math.isnan(off):
                 continue
             cost += preference * off * off

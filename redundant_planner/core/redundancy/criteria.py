@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.kernels import compiled, kernel, Matrix, Vector
 from redundant_planner.core.redundancy.null_space import Decomposition, manipulability
+from redundant_planner.core.robot.turns import short_way
 
 Array = npt.NDArray[np.float64]
 
@@ -146,17 +147,22 @@ def shortest_path_index(least_norm: Vector, change: Vector) -> tuple[float, Arra
 
 
 @compiled
-def posture_index(q: Vector, preferred: Vector) -> tuple[float, Array]:
+def posture_index(
+    q: Vector, preferred: Vector, position_max: Vector,
+) -> tuple[float, Array]:
     """Return ½‖q − q_p‖² over the joints that have a preferred position, and its gradient.
+
+    A joint that turns without end takes the short way round to its q_p.
 
     Args:
         q: (n,) the posture.
         preferred: (n,) q_p, NaN for joints that may be anywhere.
+        position_max: (n,) infinite for joints that turn without end.
     """
     value, gradient = 0.0, np.zeros(len(q))
     for j in range(len(q)):
         if not math.isnan(preferred[j]):
-            gradient[j] = q[j] - preferred[j]
+            gradient[j] = short_way(q[j] - preferred[j], position_max[j])
             value += 0.5 * gradient[j] * gradient[j]
     return value, gradient
 

@@ -119,14 +119,15 @@ def integrated(q: Array, dq: Array, dt: float, low: Array, high: Array) -> Array
 
 
 def has_jumped(
-    before: Array, after: Array, velocity_max: Array, elapsed: float, tolerance: float,
+    before: Array, after: Array, velocity_max: Array, elapsed: float | Array,
+    tolerance: float,
 ) -> bool:
     """Return whether an arm was moved, or restarted elsewhere, rather than having moved.
 
     Args:
         before, after: (n,) successive measurements [rad, m].
         velocity_max: (n,) [rad/s, m/s].
-        elapsed: time between them [s].
+        elapsed: time between them, of each joint (n,) if they differ [s].
         tolerance: [rad, m], for noise and late messages.
     """
     return bool((np.abs(after - before) > velocity_max * elapsed + tolerance).any())

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.turns import nearest_turn, TURN
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.inverse_kinematics import AT_POSE, self_motion, solve
 
@@ -30,7 +31,7 @@ def goal_postures(
 ) -> Generator[list[Place] | None, None, None]:
     """Yield postures, some after each piece of work and often none; None after each guess.
 
-    They need not be free.
+    They need not be free. Joints that turn without end take the short way round to them.
 
     The first guess is where the arm is, then near it and anywhere in turn.
 
@@ -46,12 +47,13 @@ def goal_postures(
         found = posture_at(space, guess, pose)
         yield []
         if found is not None:
+            found = nearest_turn(found, q, space.joints.position_max)
             yield _places(space, [found])
             for aside in _asides(space, random):
                 beside = self_motion(
                     found, pose, aside, _ASIDE_SIZE, _ASIDE, space.robot.chain, space.joints)
                 space.spend(_COST_OF_POSTURE * len(beside))
-                postures = known.others_of(beside)
+                postures = known.others_of(nearest_turn(beside, q, space.joints.position_max))
                 yield []
                 for first in range(0, len(postures), space.at_once):
                     yield _places(space, postures[first:first + space.at_once])
@@ -61,9 +63,26 @@ def goal_postures(
         yield None
 
 
-def only_posture(space: FreeSpace, q: Array) -> Generator[list[Place] | None, None, None]:
-    """Yield one posture (n,), and then None for ever, as there is no other."""
-    yield [space.place(q)]
+def only_posture(
+    space: FreeSpace, q: Array, wanted: Array,
+) -> Generator[list[Place] | None, None, None]:
+    """Yield one posture, and then None for ever, as there is no other.
+
+    A joint that turns without end takes the short way round, and the long one if it must.
+
+    Args:
+        space: where the arm may be.
+        q: (n,) where it is.
+        wanted: (n,) where it shall be.
+    """
+    wanted = nearest_turn(wanted, q, space.joints.position_max)
+    room = space.place(wanted).room
+    found = [Place(wanted, room)]
+    for j in np.flatnonzero(np.isinf(space.joints.position_max)):
+        other = wanted.copy()
+        other[j] += TURN if wanted[j] < q[j] else -TURN
+        found.append(Place(other, room))
+    yield found
     while True:
         yield None
 

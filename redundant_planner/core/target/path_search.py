@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.goal import Target
 from redundant_planner.core.target.goal_postures import goal_postures, only_posture
@@ -94,7 +95,7 @@ class PathSearch:
         self._random = np.random.default_rng(0)
         self._postures = (
             goal_postures(space, start, target, self._random) if isinstance(target, Pose) else
-            only_posture(space, target))
+            only_posture(space, start, target))
         self._guesses, self._reached = 0, False
         self._ranges = space.joint_ranges(start)
 
@@ -169,9 +170,11 @@ class PathSearch:
 
     def _price_of(self, way: Way, room: float) -> float:
         """Return what a way with some room costs: its length, if nothing else counts."""
-        off = np.nan_to_num(way[-1].q - self._space.joints.preferred)
+        joints, end = self._space.joints, way[-1].q
+        off = np.nan_to_num(nearest_turn(end, joints.preferred, joints.position_max)
+                            - joints.preferred)
         return self.length(way) * (1.0 if room == _ROOMS[0] else _PRICE_OF_GAPS) + (
-            self._space.joints.preference * float(np.linalg.norm(off)))
+            joints.preference * float(np.linalg.norm(off)))
 
     def _note(self, way: Way, room: float) -> None:
         """Keep a way with some room if it is the best."""

@@ -21,6 +21,7 @@ from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Filtered
 from redundant_planner.core.target.free_space import FreeSpace
@@ -115,7 +116,8 @@ class Way:
         if isinstance(target, Pose):
             found = self._line.progress(target, tip)
         else:
-            target = self._within_limits(target)
+            target = nearest_turn(
+                self._within_limits(target), arm.q, self._robot.position_max)
             there = self._robot.kinematics(target)
             off = float(np.abs(target - arm.q).max(initial=0.0))
             found = self._line.progress(

@@ -166,12 +166,22 @@ def test_total_gradient_maximises_clearance_and_minimises_the_rest():
 def test_the_posture_index_is_that_of_the_joints_that_prefer_a_position():
     preferred = np.array([0.5, np.nan, -0.2])
     q = np.array([0.1, 2.0, 0.3])
-    value, gradient = criteria.posture_index(q, preferred)
+    limits = np.array([np.pi, np.pi, np.inf])
+
+    def index(q):
+        return criteria.posture_index(q, preferred, limits)
+
+    value, gradient = index(q)
     assert value == pytest.approx(0.5 * (0.4**2 + 0.5**2))
     np.testing.assert_allclose(
-        gradient, central_difference(lambda q: criteria.posture_index(q, preferred)[0], q),
-        atol=1e-8)
+        gradient, central_difference(lambda q: index(q)[0], q), atol=1e-8)
     assert gradient[1] == 0.0
+    # Whole turns of a joint without limits make no difference; those of others are far away.
+    turned = q + [0.0, 0.0, 6.0 * np.pi]
+    np.testing.assert_allclose(index(turned)[1], gradient, atol=1e-12)
+    assert index(q - [2.0 * np.pi, 0.0, 0.0])[1][0] == pytest.approx(-0.4 - 2.0 * np.pi)
+    # The short way round leads across π.
+    assert index(np.array([0.1, 2.0, np.pi]))[1][2] == pytest.approx(-np.pi + 0.2)
 
 
 @pytest.mark.parametrize('make', [make_panda, make_paper_arm])
