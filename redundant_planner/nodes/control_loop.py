@@ -265,6 +265,9 @@ class ControlLoop:
                              or self._position_command.is_at(self._anchor)):
             self._last_command = None
             self.command.forget()
+            if self.supervisor.astray or self.supervisor.was_moved:
+                # Whoever wakes up takes what comes first for where to be.
+                self._position_command.reset()
 
     def _move(self, ignore_command: str) -> None:
         """Take a step of the planner; the command is zero if there is a reason to ignore it."""
@@ -273,8 +276,7 @@ class ControlLoop:
             kind = TickKind.STARTING
             self.planner.reset()
             self._following.begin(posture, sum(_drive_of(self.planner)))
-            # Whoever wakes up takes what comes first for where to be.
-            self._position_command.start(posture, 0.0 if self.supervisor.tries else self._lead)
+            self._position_command.start(posture, self._lead)
         twist, ahead, target = _NO_TWIST, None, None
         if ignore_command:
             self._forget_target(ignore_command)

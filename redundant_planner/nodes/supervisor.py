@@ -60,6 +60,8 @@ class Supervisor:
         failure: the fault that holds the arm until `reset`; empty without one.
         astray: why the arm does not follow; empty if it does.
         tries: whether it may try again, gently.
+        was_moved: whether something else has moved the standing arm, and nobody has commanded it
+            since.
         listening: whether the arm has not been allowed to move yet, so that a command on its topic
             comes from another node.
     """
@@ -98,7 +100,7 @@ class Supervisor:
         self.astray = ''
         self.tries = False
         self._quiet_since = np.inf  # when the last command ended
-        self._moved_by_others = False
+        self.was_moved = False
 
     def measured(
         self, posture: Array, now: float, which: npt.NDArray[np.intp] | None = None,
@@ -141,8 +143,11 @@ class Supervisor:
         self.astray, self.tries = '', False
 
     def moved_by_others(self) -> None:
-        """Have a standing arm that was moved by something else stay where it is."""
-        self._moved_by_others = True
+        """Have a standing arm that was moved by something else stay where it is.
+
+        It is left alone until somebody commands it: whichever controller has moved it may go on.
+        """
+        self.was_moved = True
 
     def heard_a_wish(self, wishes: bool, now: float, at_rest: bool) -> None:
         """Note whether somebody commands the arm [s].
@@ -155,7 +160,7 @@ class Supervisor:
         elif self.astray and at_rest and now - self._quiet_since >= FRESH_AFTER:
             self.tries = True
         if wishes:
-            self._quiet_since = np.inf
+            self._quiet_since, self.was_moved = np.inf, False
 
     def heard_a_command(self, now: float) -> None:
         """Note a command on the arm's topic while this node is silent: another node's [s]."""
@@ -282,9 +287,8 @@ class Supervisor:
         if self._restart and not at_rest:
             return Decision(self._restart, is_fault=True, warning=self._restart)
         self._restart = ''
-        if self._moved_by_others and not at_rest:
-            return Decision(_MOVED, warning=_MOVED)
-        self._moved_by_others = False
+        if self.was_moved:
+            return Decision(_MOVED, warning='' if at_rest else _MOVED)
         if len(self._command_publishers) > 1:
             reason = _several('joint_command', self._command_publishers)
             return Decision(reason, is_fault=True,
