@@ -64,6 +64,23 @@ class CommandPacer:
         """Time until the next tick may begin [s]; infinite before the first has."""
         return self._due + self._period - self._lead - time.monotonic()
 
+    @property
+    def due(self) -> float:
+        """When the command of the latest tick was due [s]; infinite before the first has begun."""
+        return self._due
+
+    def move(self, delay: float) -> None:
+        """Have commands come later by a delay, less than a period; begin ticks anew right after.
+
+        Args:
+            delay: [s].
+        """
+        begin = self._due + delay - self._lead
+        while begin < time.monotonic():
+            begin += self._period
+        time.sleep(max(begin - time.monotonic(), 0.0))
+        self._due = float('inf')
+
     def wait(self) -> None:
         """Wait until the command is due; not before the first tick has begun."""
         begin = time.monotonic()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+from collections import deque
 from collections.abc import Callable
 from operator import itemgetter
 import time
@@ -45,6 +46,8 @@ _NO_TWIST = np.zeros(6)
 # A measured posture that jumps by more than this beyond what the arm can travel starts everything
 # again from there [rad, m].
 _JUMP = 0.1
+# Measurements whose times are remembered.
+_MEASUREMENTS = 200
 # Less need not be kept clear of obstacles [m].
 _LITTLE = 1e-3
 
@@ -63,6 +66,7 @@ class ControlLoop:
         pacer: when ticks and commands are due.
         clock: that it runs by.
         now: when the latest tick began [s].
+        measured_ns: when the latest joint_states were sent, by the system's clock [ns].
     """
 
     def __init__(
@@ -96,6 +100,7 @@ class ControlLoop:
         self.settings = settings
         self.state = LoopState()
         self.now = -np.inf
+        self.measured_ns: deque[int] = deque(maxlen=_MEASUREMENTS)
         self._period = 1.0 / settings.rate
         self.pacer = CommandPacer(self._period)
         self._robot = robot
@@ -174,7 +179,9 @@ class ControlLoop:
         if not self.clock.simulated:  # simulated time stands still while a command waits
             self.pacer.begin(self.now)
         self._is_sent, self._no_time = False, ''
-        for _, topic, take, raw in messages:
+        for sent, topic, take, raw in messages:
+            if topic == 'joint_states':
+                self.measured_ns.append(sent)
             self._guard.call(f'reading {topic}', take, raw)
         try:
             decision = self._move_or_brake()

@@ -21,7 +21,12 @@ from visualization_msgs.msg import MarkerArray
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.node_parameters import JOINT_COMMAND, PlannerNodeParameters
+from redundant_planner.io.node_parameters import (
+    JOINT_COMMAND,
+    JOINT_TRAJECTORY,
+    PlannerNodeParameters,
+    POSITION_COMMANDS,
+)
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.payload import Payload
@@ -34,6 +39,7 @@ from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.last_word import LastWord, READY, STARTING
 from redundant_planner.nodes.loop_clock import loop_clock
+from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.other_publishers import publishers_of
 from redundant_planner.nodes.polled_subscription import PolledSubscription
@@ -43,6 +49,7 @@ from redundant_planner.nodes.second_process import Brief
 from redundant_planner.nodes.settings import Settings
 from redundant_planner.nodes.startup import Startup
 from redundant_planner.nodes.throttled_log import ThrottledLog
+from redundant_planner.nodes.tick_phase import delay_to_middle
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
@@ -196,7 +203,8 @@ class PlannerNode(EndableNode):
         settings = self._settings.node
         wake_up_in_time()
         self.loop = loop
-        self.create_timer(1.0 / settings.rate, self._on_timer, clock=loop.clock.timers)
+        self._timer = self.create_timer(
+            1.0 / settings.rate, self._on_timer, clock=loop.clock.timers)
         if loop.clock.simulated:
             self.create_timer(1.0 / settings.rate, self._while_time_stands,
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -270,6 +278,8 @@ class PlannerNode(EndableNode):
     def _look_around(self) -> None:
         """See who publishes on this node's topics, who listens, and if its last word is sure."""
         assert self.loop is not None
+        if self.loop.at_rest:
+            self._move_ticks(self.loop)
         self.loop.supervisor.found_publishers(
             publishers_of(self, 'joint_command'), publishers_of(self, 'cmd_vel'))
         output, state = self.loop.output, self.loop.state
@@ -283,6 +293,22 @@ class PlannerNode(EndableNode):
         if state.last_word not in (before, READY, STARTING):
             self._warn(f'without a last word: {state.last_word}; if this process died in motion, '
                        'its last command would stand')
+
+    def _move_ticks(self, loop: ControlLoop) -> None:
+        """Have commands fall half way between measurements, where a controller takes positions.
+
+        Only at rest: in motion one period would be longer.
+        """
+        outputs = set(self._settings.node.outputs)
+        if loop.clock.simulated or not outputs.intersection((POSITION_COMMANDS, JOINT_TRAJECTORY)):
+            return
+        clocks_apart = time.time() - time.monotonic()
+        delay = delay_to_middle(
+            [ns / NANOSECONDS - clocks_apart for ns in loop.measured_ns], loop.pacer.due,
+            1.0 / self._settings.node.rate)
+        if delay > 0.0:
+            loop.pacer.move(delay)
+            self._timer.reset()
 
     def finish(self) -> None:
         """Bring the arm to rest; if that fails, the other process does."""
