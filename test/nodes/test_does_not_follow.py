@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from ros2_control_stand_in import StandIn
 
-from benchmark.ros2_control import OUTPUTS
+from benchmark.ros2_control import OUTPUTS, POSITION, TRAJECTORY
 
 pytestmark = LIVE
 
@@ -88,6 +88,20 @@ def test_a_controller_that_wakes_up_finds_no_command_waiting(controller, tmp_pat
         end = time.monotonic() + 0.5
         ros.wait_for(lambda: time.monotonic() > end, 'the end')
         assert np.abs(arm.cycles(since=begin).velocities).max() <= 0.05
+
+
+@pytest.mark.parametrize('controller', [POSITION, TRAJECTORY])
+def test_positions_come_once_in_each_cycle(controller, tmp_path):
+    """Where commands came at a cycle's edge, every fourth cycle would stand still."""
+    with station() as (ros, processes):
+        arm = started(ros, processes, tmp_path, controller)
+        ros.drive(FORWARD, 0.5)
+        begin = arm.now()
+        ros.drive(FORWARD, 1.0)
+        cycles = arm.cycles(since=begin)
+        fastest = np.abs(cycles.velocities[:, np.abs(cycles.velocities).mean(axis=0).argmax()])
+        assert np.mean(fastest < 0.2 * np.median(fastest)) < 0.1
+        assert cycles.refused[-1] == 0
 
 
 def test_an_output_that_nobody_hears_is_named(tmp_path):
