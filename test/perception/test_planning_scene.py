@@ -13,15 +13,10 @@ from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import ObstacleError
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
-from redundant_planner.nodes.planning_scene_obstacles import marker_message
-from redundant_planner.perception.planning_scene import (
-    PlanningScene,
-    Surroundings,
-    with_attached,
-    with_object,
-    with_scene,
-)
+from redundant_planner.nodes.marker_topic import marker_message
+from redundant_planner.perception.planning_scene import with_attached, with_object, with_scene
 from redundant_planner.perception.scene_markers import scene_markers
+from redundant_planner.perception.scene_records import PlanningScene, Surroundings
 
 PANDA = make_panda()
 BASE, HAND = PANDA.base_frame, 'panda_hand'
