@@ -210,13 +210,17 @@ class PlanningSceneObstacles(EndableNode):
             self._startup = None
         scene = self._scene
         while self._waiting:
-            waiting = self._waiting[0]
+            # First, so that a message that fails is not tried again.
+            waiting = self._waiting.popleft()
             self._missing = False
-            after, problems = waiting.apply(scene, waiting.message, self._around)
+            result = self.guard.call(
+                'a planning scene', waiting.apply, scene, waiting.message, self._around)
+            if result is None:
+                continue
+            after, problems = result
             if self._missing and time.monotonic() - waiting.came_at < _PATIENCE:
+                self._waiting.appendleft(waiting)
                 break
-            # First, so that a scene that fails is not tried again.
-            self._waiting.popleft()
             scene = after
             for problem in problems:
                 self._once(problem)
