@@ -144,9 +144,9 @@ class _Change:
             self.problems.append(f'allowed_collision_matrix {error}; ignored')
 
     def take_octomap(self, message: Any) -> None:
-        """Take another octomap, or none."""
-        self.voxels = None
+        """Take another octomap, or none; one that is of no use leaves the last one."""
         if not len(message.octomap.data):
+            self.voxels = None
             return
         try:
             pose = self._frame(message.header.frame_id) @ pose_of_message(message.origin)
