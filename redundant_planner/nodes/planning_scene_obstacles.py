@@ -8,23 +8,17 @@ import math
 import time
 from typing import Any, NamedTuple
 
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 import numpy as np
 import numpy.typing as npt
 from rclpy.clock import Clock, ClockType
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
-from std_msgs.msg import ColorRGBA, Header
 from std_srvs.srv import Trigger
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import known, ObstacleError, PlannerError, StateError
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.io.marker_writer import cube_list_bytes
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.perception_parameters import SceneParameters
@@ -32,6 +26,7 @@ from redundant_planner.nodes import runtime
 from redundant_planner.nodes.allowed_contacts_setter import AllowedContactsSetter
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.joint_messages import JointReader
+from redundant_planner.nodes.marker_topic import MarkerTopic, pose_numbers
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.ros_parameters import CAPSULE, declare, declare_entries
 from redundant_planner.nodes.startup import Startup
@@ -40,14 +35,13 @@ from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.perception.own_shape import reach_of
 from redundant_planner.perception.planning_scene import (
     OCTOMAP,
-    PlanningScene,
-    Surroundings,
     with_attached,
     with_object,
     with_scene,
 )
-from redundant_planner.perception.scene_contacts import allowed_contacts, Held
-from redundant_planner.perception.scene_markers import obstacle_ids, scene_markers, SceneMarker
+from redundant_planner.perception.scene_contacts import allowed_contacts
+from redundant_planner.perception.scene_markers import obstacle_ids, scene_markers
+from redundant_planner.perception.scene_records import PlanningScene, Surroundings
 from redundant_planner.perception.scene_shapes import placement
 
 Array = npt.NDArray[np.float64]
@@ -66,7 +60,6 @@ _REMINDER = 5.0
 _MOST_SENTENCES = 10_000
 _RELIABLE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 _JOINT_STATES = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-_COLOR = ColorRGBA(r=0.45, g=0.6, b=0.4, a=0.8)
 # Everything that is read of a scene: moveit_msgs/PlanningSceneComponents' ROBOT_STATE,
 # ROBOT_STATE_ATTACHED_OBJECTS, WORLD_OBJECT_NAMES, WORLD_OBJECT_GEOMETRY, OCTOMAP, TRANSFORMS,
 # ALLOWED_COLLISION_MATRIX and LINK_PADDING_AND_SCALING.
@@ -74,8 +67,6 @@ _COMPONENTS = 2 | 4 | 8 | 16 | 32 | 64 | 128 | 256
 
 # How a message changes a scene: `with_scene` and its kin.
 _Apply = Callable[[PlanningScene, Any, Surroundings], tuple[PlanningScene, list[str]]]
-# A marker's namespace and id.
-_Key = tuple[str, int]
 
 
 class MoveitMessages(NamedTuple):
@@ -170,8 +161,8 @@ class PlanningSceneObstacles(EndableNode):
         self._transform = transform_lookup(self, robot.base_frame)
         self._reader = JointReader(robot.joint_names)
         self._joints = PolledSubscription(self, JointState, 'joint_states', _JOINT_STATES)
-        self._markers = _MarkerTopic(self.create_publisher(MarkerArray, 'obstacles', 10))
-        self._attached = _MarkerTopic(self.create_publisher(MarkerArray, 'attached', 10))
+        self._markers = MarkerTopic(self.create_publisher(MarkerArray, 'obstacles', 10))
+        self._attached = MarkerTopic(self.create_publisher(MarkerArray, 'attached', 10))
         planner = self._settings.scene_planner
         self._setter = AllowedContactsSetter(self, planner, self._once) if planner else None
         self._contacts = self._settings.allowed_contacts
@@ -218,13 +209,17 @@ class PlanningSceneObstacles(EndableNode):
             self._startup = None
         scene = self._scene
         while self._waiting:
-            waiting = self._waiting[0]
+            # First, so that a message that fails is not tried again.
+            waiting = self._waiting.popleft()
             self._missing = False
-            after, problems = waiting.apply(scene, waiting.message, self._around)
+            result = self.guard.call(
+                'a planning scene', waiting.apply, scene, waiting.message, self._around)
+            if result is None:
+                continue
+            after, problems = result
             if self._missing and time.monotonic() - waiting.came_at < _PATIENCE:
+                self._waiting.appendleft(waiting)
                 break
-            # First, so that a scene that fails is not tried again.
-            self._waiting.popleft()
             scene = after
             for problem in problems:
                 self._once(problem)
@@ -238,8 +233,7 @@ class PlanningSceneObstacles(EndableNode):
         ids = obstacle_ids(self._scene, self._robot)
         contacts = allowed_contacts(
             self._scene.matrix, [*ids, *((OCTOMAP,) if markers.cubes else ())],
-            {name: Held(held.link, held.touch_links) for name, held in self._scene.held.items()},
-            self._robot)
+            self._scene.held, self._robot)
         for remark in (*markers.remarks, *contacts.remarks):
             self._once(remark)
         self._contacts = tuple(dict.fromkeys(
@@ -247,7 +241,7 @@ class PlanningSceneObstacles(EndableNode):
         base = self._robot.base_frame
         lists = {}
         if self._scene.voxels is not None:
-            pose = _numbers(self._scene.voxels.pose)
+            pose = pose_numbers(self._scene.voxels.pose)
             lists = {(OCTOMAP, number): cube_list_bytes(
                 OCTOMAP, base, 0, edge, centers, number=number, pose=pose)
                 for number, (edge, centers) in enumerate(sorted(markers.cubes.items()))}
@@ -340,72 +334,6 @@ class PlanningSceneObstacles(EndableNode):
                 self._missing = True
                 raise
         return placement(corners[0], (corners[1:] - corners[0]).T)
-
-
-class _MarkerTopic:
-    """The markers on a topic: those that are no longer there are deleted."""
-
-    def __init__(self, publisher: Publisher) -> None:
-        self._publisher = publisher
-        # What is said again and again, and which markers that are.
-        self._messages: list[bytes] = []
-        self._shown: set[_Key] = set()
-        self._gone: set[_Key] = set()
-
-    def add(self, solids: dict[str, list[SceneMarker]], lists: dict[_Key, bytes]) -> None:
-        """Publish markers unless they are the same; `remove` deletes those that are not there.
-
-        Args:
-            solids: frame → single markers.
-            lists: namespace and id → message with that marker.
-        """
-        array = MarkerArray(markers=[
-            marker_message(frame, marker) for frame, them in solids.items() for marker in them])
-        shown = {*((marker.ns, marker.id) for marker in array.markers), *lists}
-        self._gone |= self._shown - shown
-        self._gone -= shown
-        self._shown = shown
-        messages = [*([bytes(serialize_message(array))] if array.markers else []),
-                    *lists.values()]
-        if messages != self._messages:
-            self._messages = messages
-            self.repeat()
-
-    def remove(self) -> None:
-        """Delete the markers that were shown before the latest ones and are not among them."""
-        if self._gone:
-            self._publisher.publish(MarkerArray(markers=[
-                Marker(ns=name, id=number, action=Marker.DELETE)
-                for name, number in sorted(self._gone)]))
-            self._gone.clear()
-
-    def clear(self) -> None:
-        """Delete all markers of the topic, and publish ours again."""
-        self._publisher.publish(MarkerArray(markers=[Marker(action=Marker.DELETEALL)]))
-        self.repeat()
-
-    def repeat(self) -> None:
-        """Publish the same again."""
-        for message in self._messages:
-            self._publisher.publish(message)
-
-
-def _numbers(pose: Array) -> tuple[float, ...]:
-    """Return a pose (4, 4) as x y z and a quaternion x y z w."""
-    return (*pose[:3, 3].tolist(), *quaternion_of(pose[:3, :3]).tolist())
-
-
-def marker_message(frame: str, marker: SceneMarker) -> Marker:
-    """Return a shape as a message, given in a frame."""
-    numbers = _numbers(marker.pose)
-    return Marker(
-        # Without a stamp, which would grow old: the same bytes are published again.
-        header=Header(frame_id=frame, stamp=Time()), ns=marker.namespace, id=marker.number,
-        type=marker.kind, action=Marker.ADD, color=_COLOR,
-        pose=Pose(position=Point(x=numbers[0], y=numbers[1], z=numbers[2]),
-                  orientation=Quaternion(
-                      x=numbers[3], y=numbers[4], z=numbers[5], w=numbers[6])),
-        scale=Vector3(**dict(zip('xyz', marker.size.tolist()))))
 
 
 def main(args: list[str] | None = None) -> int:

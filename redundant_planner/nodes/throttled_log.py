@@ -1,18 +1,18 @@
-"""Log entries that a stream of bad messages would repeat, once a second at most."""
+"""Log entries that a stream of bad messages would repeat: once in a while at most."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 import time
 
-# The same entry appears this often at most [s].
+# The same entry appears this often at most, if nothing else is said [s].
 _PERIOD = 1.0
 # Kinds of entries that are remembered.
 _MOST_KINDS = 100
 
 
 class ThrottledLog:
-    """Passes sentences on, each kind once a second; the words before the colon are the kind."""
+    """Passes sentences on, each kind once in a period; what is before the colon is the kind."""
 
     def __init__(
         self, log: Callable[[str], object], period: float = _PERIOD,

@@ -1,1 +1,1 @@
-"""What a depth camera sees: point clouds to voxels, and a camera for tests; no ROS."""
+"""Clouds to voxels, MoveIt's planning scene to markers, and a camera for tests; no ROS."""

@@ -7,17 +7,26 @@ sentence, and the rest of the message counts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import ObstacleError, shown
 from redundant_planner.io.cdr import LONGEST_NAME
-from redundant_planner.perception.octree import Cubes, occupied
-from redundant_planner.perception.scene_contacts import ContactMatrix, matrix_of
+from redundant_planner.perception.octree import occupied
+from redundant_planner.perception.scene_contacts import matrix_of
+from redundant_planner.perception.scene_records import (
+    alike,
+    HeldObject,
+    PlanningScene,
+    same_entries,
+    Surroundings,
+    Voxels,
+    WorldObject,
+)
 from redundant_planner.perception.scene_shapes import (
     inverse,
     moved,
@@ -25,7 +34,6 @@ from redundant_planner.perception.scene_shapes import (
     pose_of_transform,
     Shapes,
     shapes_of,
-    Solid,
 )
 
 Array = npt.NDArray[np.float64]
@@ -35,80 +43,6 @@ OCTOMAP = '<octomap>'
 # moveit_msgs/CollisionObject's operations.
 _ADD, _REMOVE, _APPEND, _MOVE = range(4)
 _OPERATIONS = {_ADD: 'ADD', _REMOVE: 'REMOVE', _APPEND: 'APPEND', _MOVE: 'MOVE'}
-
-
-class WorldObject(NamedTuple):
-    """An object of the scene.
-
-    Attributes:
-        pose: (4, 4) in the base frame.
-        solids: its shapes.
-    """
-
-    pose: Array
-    solids: tuple[Solid, ...]
-
-
-class HeldObject(NamedTuple):
-    """An object that is attached to a link.
-
-    Attributes:
-        link: of the robot.
-        pose: (4, 4) in the link's frame.
-        solids: its shapes.
-        touch_links: links that it may touch.
-    """
-
-    link: str
-    pose: Array
-    solids: tuple[Solid, ...]
-    touch_links: tuple[str, ...]
-
-
-class Voxels(NamedTuple):
-    """The octomap.
-
-    Attributes:
-        pose: (4, 4) of the map in the base frame.
-        cubes: the occupied ones.
-    """
-
-    pose: Array
-    cubes: Cubes
-
-
-@dataclass(frozen=True)
-class PlanningScene:
-    """What is around the arm, and in its hand.
-
-    Attributes:
-        objects: id → object of the world.
-        held: id → object that is attached.
-        voxels: the octomap, None for none.
-        matrix: who may touch whom.
-        fixed: frames that the scene says itself: name → parent, and pose (4, 4) in that.
-    """
-
-    objects: Mapping[str, WorldObject] = field(default_factory=dict)
-    held: Mapping[str, HeldObject] = field(default_factory=dict)
-    voxels: Voxels | None = None
-    matrix: ContactMatrix | None = None
-    fixed: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
-
-
-class Surroundings(NamedTuple):
-    """What a message is read with.
-
-    Attributes:
-        frame: returns the pose (4, 4) of a frame in the base frame as it is now, or raises
-            ObstacleError with the reason; '' is the base frame.
-        center: (3,) of a ball in the base frame that the arm does not leave [m].
-        radius: of that ball, with all that is of interest around it [m].
-    """
-
-    frame: Callable[[str], Array]
-    center: Array
-    radius: float
 
 
 def with_scene(
@@ -180,8 +114,8 @@ class _Change:
         """Return the scene, the one before if it is as it was, and a sentence per problem."""
         before = self._scene
         same = (self.voxels is before.voxels and self.matrix is before.matrix
-                and self.fixed is before.fixed and _same(self.objects, before.objects)
-                and _same(self.held, before.held))
+                and self.fixed is before.fixed and same_entries(self.objects, before.objects)
+                and same_entries(self.held, before.held))
         return before if same else replace(
             before, objects=self.objects, held=self.held, voxels=self.voxels,
             matrix=self.matrix, fixed=self.fixed), self.problems
@@ -210,9 +144,9 @@ class _Change:
             self.problems.append(f'allowed_collision_matrix {error}; ignored')
 
     def take_octomap(self, message: Any) -> None:
-        """Take another octomap, or none."""
-        self.voxels = None
+        """Take another octomap, or none; one that is of no use leaves the last one."""
         if not len(message.octomap.data):
+            self.voxels = None
             return
         try:
             pose = self._frame(message.header.frame_id) @ pose_of_message(message.origin)
@@ -313,7 +247,7 @@ class _Change:
                     tuple(dict.fromkeys(held.touch_links + touch)))
         self.objects.pop(thing.id, None)
         # move_group lists all that is attached with each state.
-        self.held[thing.id] = held if held is not None and _alike(held, made) else made
+        self.held[thing.id] = held if held is not None and alike(held, made) else made
 
     def _detach(self, message: Any) -> None:
         name, link = message.object.id, message.link_name
@@ -362,20 +296,6 @@ class _Change:
                 raise ObstacleError(f'is given in {name!r}, a subframe of {thing!r}: subframes '
                                     'are not read') from None
             raise ObstacleError(f'is given in frame {name!r}: {error}') from None
-
-
-def _same(one: Mapping[str, object], other: Mapping[str, object]) -> bool:
-    """Return whether two have the very same entries."""
-    return one.keys() == other.keys() and all(one[name] is other[name] for name in one)
-
-
-def _alike(one: HeldObject, other: HeldObject) -> bool:
-    """Return whether two objects are attached alike."""
-    return (one.link == other.link and one.touch_links == other.touch_links
-            and np.array_equal(one.pose, other.pose) and len(one.solids) == len(other.solids)
-            and all(a.kind == b.kind and np.array_equal(a.size, b.size)
-                    and np.array_equal(a.in_object, b.in_object)
-                    for a, b in zip(one.solids, other.solids)))
 
 
 def _check_name(name: str) -> None:

@@ -2,41 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from redundant_planner.core.errors import known, ObstacleError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.payload import ATTACHED
-
-Flags = npt.NDArray[np.bool_]
+from redundant_planner.perception.scene_records import ContactMatrix, HeldObject
 
 # Entries that are handed on: the planner compares each with every name of an obstacle.
 MOST_ENTRIES = 200
-
-
-class ContactMatrix(NamedTuple):
-    """Which pairs of links and objects may touch.
-
-    Attributes:
-        places: name → its row and column.
-        allowed: (k, k) whether a pair may touch.
-        defaults: name → whether it may touch those that are not in the matrix together with it.
-    """
-
-    places: Mapping[str, int]
-    allowed: Flags
-    defaults: Mapping[str, bool]
-
-    def allows(self, one: str, other: str) -> bool:
-        """Return whether two may touch; where two defaults differ, they may not."""
-        if one in self.places and other in self.places:
-            return bool(self.allowed[self.places[one], self.places[other]])
-        said = [self.defaults[name] for name in (one, other) if name in self.defaults]
-        return bool(said) and all(said)
 
 
 class Allowed(NamedTuple):
@@ -49,18 +26,6 @@ class Allowed(NamedTuple):
 
     entries: tuple[str, ...]
     remarks: tuple[str, ...]
-
-
-class Held(NamedTuple):
-    """What the contacts of an attached object depend on.
-
-    Attributes:
-        link: that it is attached to.
-        touch_links: that it may touch.
-    """
-
-    link: str
-    touch_links: Sequence[str]
 
 
 def matrix_of(message: Any) -> ContactMatrix:
@@ -85,7 +50,8 @@ def matrix_of(message: Any) -> ContactMatrix:
 
 
 def allowed_contacts(
-    matrix: ContactMatrix | None, things: Iterable[str], held: Mapping[str, Held], robot: Robot,
+    matrix: ContactMatrix | None, things: Iterable[str], held: Mapping[str, HeldObject],
+    robot: Robot,
 ) -> Allowed:
     """Return which contacts with obstacles the planner is to allow.
 

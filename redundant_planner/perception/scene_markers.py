@@ -11,7 +11,7 @@ from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.marker_reader import CUBE
 from redundant_planner.io.obstacle_bounds import FARTHEST
-from redundant_planner.perception.planning_scene import HeldObject, PlanningScene, Surroundings
+from redundant_planner.perception.scene_records import HeldObject, PlanningScene, Surroundings
 from redundant_planner.perception.scene_shapes import placement, PLANE, Solid
 
 Array = npt.NDArray[np.float64]

@@ -109,8 +109,8 @@ def _pose(position: Sequence[float], quaternion: Sequence[float]) -> Array:
     largest = np.abs(turn).max()
     if largest == 0.0:
         return placement(numbers[:3], np.eye(3))
-    turn = turn / largest  # squares of tiny numbers would be zero
-    return placement(numbers[:3], rotations((turn / np.linalg.norm(turn))[None])[0])
+    # Squares of tiny numbers would be zero.
+    return placement(numbers[:3], rotations((turn / largest)[None])[0])
 
 
 def shapes_of(message: Any) -> Shapes:

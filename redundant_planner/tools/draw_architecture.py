@@ -33,7 +33,7 @@ _HOLDS = {
     'nodes': 'topics, clocks, pauses (rclpy)',
     'paper': "the paper's experiment",
     'analysis': 'measures, figures, report',
-    'perception': 'clouds to voxels, a camera',
+    'perception': "clouds, MoveIt's scene, a camera",
     'physics': 'an arm with mass, MuJoCo',
     'simulation.py': 'planner and ideal arm',
     'io': 'messages, bags, robot files',

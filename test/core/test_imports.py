@@ -13,7 +13,7 @@ import redundant_planner
 
 PACKAGE = Path(redundant_planner.__file__).parent
 ROS = {'rclpy', 'rcl_interfaces', 'sensor_msgs', 'geometry_msgs', 'std_msgs',
-       'visualization_msgs', 'diagnostic_msgs', 'ament_index_python'}
+       'visualization_msgs', 'diagnostic_msgs', 'moveit_msgs', 'ament_index_python'}
 
 
 def imports(path: Path) -> set[str]:

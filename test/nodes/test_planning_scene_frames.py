@@ -45,10 +45,11 @@ class Published:
 
 
 @pytest.fixture
-def node(monkeypatch):
+def node(monkeypatch, request):
     """A node without an executor: what it publishes and says is kept, time stands still."""
+    more = getattr(request, 'param', [])
     rclpy.init(args=['--ros-args', '--params-file', str(ROBOTS / 'panda.yaml'), '-p',
-                     f'urdf:={PANDA_URDF}'], domain_id=104)
+                     f'urdf:={PANDA_URDF}', *more], domain_id=104)
     try:
         made = StandIn()
         made.obstacles, made.held, made.said, made.time = Published(), Published(), [], 100.0
@@ -137,6 +138,15 @@ def test_without_tf2_an_unknown_frame_is_refused_at_once(node):
         "'panda_link0' and the arm's own links are known; ignored"]
 
 
+@pytest.mark.parametrize('node', [['-p', 'base_frame:=world', '-p', 'mount_frame:=world', '-p',
+                                   'mount_pose:=[0.0, 0.0, 0.5]']], indirect=True)
+def test_a_mounted_arm_knows_the_frame_that_it_stands_in(node):
+    tell(node, ball('there', 'world', (1.0, 0.0, 0.0)))
+    tell(node, ball('above', 'panda_link0', (1.0, 0.0, 0.0)))
+    assert node.obstacles.place('there') == ('world', [1.0, 0.0, 0.0])
+    assert node.obstacles.place('above') == ('world', [1.0, 0.0, 0.5]) and not node.said
+
+
 def test_the_same_again_is_not_published_again(node):
     measure(node)
     tell(node, ball('ball', 'panda_link0', (1.0, 0.0, 0.0)))
@@ -146,3 +156,13 @@ def test_the_same_again_is_not_published_again(node):
     assert node.obstacles.count == count == 1
     node._look_around()
     assert node.obstacles.count == 2
+
+
+def test_a_message_that_nobody_foresaw_costs_itself_alone(node):
+    tell(node, ball('waits', 'panda_hand'))
+    node._take(lambda *arguments: 1 / 0, '{}')
+    tell(node, ball('ball', 'panda_link0', (1.0, 0.0, 0.0)))
+    measure(node)
+    node._work()
+    assert {name for name, _ in node.obstacles.markers} == {'waits', 'ball'}
+    assert node.guard.count == 1 and 'ZeroDivisionError' in node.guard.last

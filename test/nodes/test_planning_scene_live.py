@@ -33,6 +33,8 @@ START = {'urdf': PANDA_URDF, 'initial_joints': [f'panda_joint{i}' for i in range
 PANDA = make_panda()
 AT_START = PANDA.kinematics(PANDA_READY)
 HAND = 'panda_hand'
+# Contacts that planner and node are given, and one that the planner alone is given.
+OWN, OTHER = 'panda_link7:shelf', 'panda_link6:lamp'
 # Ahead of the tip, on its way to negative y.
 WALL = AT_START.tip_position + [0.0, -0.3, 0.0]
 
@@ -52,16 +54,22 @@ class Bridge:
         ros.node.create_subscription(Log, '/rosout', lambda log: self.said.append(log.msg), 100)
         ros.node.create_subscription(
             MarkerArray, 'obstacles', lambda array: self.markers.extend(array.markers), 10)
+        self.held: list[Marker] = []
+        ros.node.create_subscription(
+            MarkerArray, 'attached', lambda array: self.held.extend(array.markers), 10)
         self.sender = Sender(ros.node, moveit)
         processes.start('fake_hardware_node', FILES, START)
         self.start_planner()
         self.process = processes.start(
-            'planning_scene_obstacles' if moveit else 'scene_stand_in', FILES, VALUES)
+            'planning_scene_obstacles' if moveit else 'scene_stand_in', FILES,
+            {**VALUES, 'allowed_contacts': [OWN]})
         ros.wait_for(lambda: self.sender.heard('planning_scene') and ros.statuses
                      and ros.twist.get_subscription_count(), 'start')
 
     def start_planner(self):
-        self.planner = self.processes.start('planner_node', FILES, VALUES, name='the planner')
+        self.planner = self.processes.start(
+            'planner_node', FILES, {**VALUES, 'allowed_contacts': [OWN, OTHER]},
+            name='the planner')
 
     def value(self, key):
         return {v.key: v.value for s in self.ros.statuses[-1:] for v in s.values}.get(key)
@@ -112,7 +120,8 @@ def test_objects_are_avoided_held_let_go_and_told_to_planners_that_start_late(br
     contacts = m.matrix(['cup', 'table', HAND], [('cup', 'table'), (HAND, 'table')])
     sender.send('planning_scene', m.scene([table, wall, cup], contacts=contacts))
     bridge.until('3')
-    bridge.until_allowed('panda_hand:table')
+    bridge.until_allowed(OWN, 'panda_hand:table')
+    bridge.until_said(f"'{OTHER}' no longer count")
 
     # Into the wall, which stands across the way.
     scene = Scene.of([Obstacle.box('wall/0', WALL, (0.4, 0.05, 0.4))])
@@ -124,10 +133,14 @@ def test_objects_are_avoided_held_let_go_and_told_to_planners_that_start_late(br
     moved = PANDA.kinematics(postures[-1]).tip_position - AT_START.tip_position
     assert moved[1] < -0.05 and not any(planner.contacts(q, scene) for q in postures)
 
-    # Into the hand without a shape of its own, and a posture of the hand in between.
+    # Into the hand without a shape of its own: it stays where it is.
+    ros.wait_for(ros.at_rest, 'rest')
     sender.send('attached_collision_object', m.attached(HAND, m.thing('cup'), ['panda_link5']))
     bridge.until('2', 'cup/0')
-    bridge.until_allowed('attached/cup:table', 'panda_hand:table')
+    at = bridge.held[-1].pose.position
+    there = PANDA.in_base(ros.state(PANDA.joint_names), HAND, np.array([[at.x, at.y, at.z]]))[0]
+    assert np.linalg.norm(there - AT_START.tip_position - [0.0, 0.0, 0.25]) < 1e-3
+    bridge.until_allowed(OWN, 'attached/cup:table', 'panda_hand:table')
     bridge.until_said("keeps it from 'panda_link5' all the same")
 
     # A planner that starts anew learns of everything.
@@ -136,7 +149,7 @@ def test_objects_are_avoided_held_let_go_and_told_to_planners_that_start_late(br
     ros.statuses.clear()
     bridge.start_planner()
     bridge.until('2', 'cup/0')
-    bridge.until_allowed('attached/cup:table', 'panda_hand:table')
+    bridge.until_allowed(OWN, 'attached/cup:table', 'panda_hand:table')
 
     sender.send('attached_collision_object', m.attached('', m.thing('cup', m.REMOVE)))
     bridge.until('3')

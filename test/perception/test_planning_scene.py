@@ -12,16 +12,14 @@ import scene_messages as m
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.errors import ObstacleError
+from redundant_planner.core.obstacles.contacts import AllowedContacts
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
-from redundant_planner.nodes.planning_scene_obstacles import marker_message
-from redundant_planner.perception.planning_scene import (
-    PlanningScene,
-    Surroundings,
-    with_attached,
-    with_object,
-    with_scene,
-)
-from redundant_planner.perception.scene_markers import scene_markers
+from redundant_planner.nodes.marker_topic import marker_message
+from redundant_planner.perception import scene_markers as scene_markers_module
+from redundant_planner.perception.planning_scene import with_attached, with_object, with_scene
+from redundant_planner.perception.scene_contacts import allowed_contacts
+from redundant_planner.perception.scene_markers import obstacle_ids, scene_markers
+from redundant_planner.perception.scene_records import PlanningScene, Surroundings
 
 PANDA = make_panda()
 BASE, HAND = PANDA.base_frame, 'panda_hand'
@@ -390,6 +388,41 @@ def test_objects_and_the_scenes_own_frames_are_frames_too():
     assert said == ["object 'spoon' is given in frame 'moon': nobody knows moon; ignored"]
 
 
+OCTREE = b'\0\xc0' + b'\3\0' * 14 + b'\2\0'  # sixteen levels down to one cube
+
+
+def test_an_octomap_replaces_the_last_one_and_one_that_is_of_no_use_does_not():
+    turned = m.pose((0.5, 0.0, 0.2), (0.0, 0.0, 1.0, 1.0))
+    scene, said = after(m.scene(voxels=m.octomap(OCTREE, 0.1, origin=turned)))
+    marked = scene_markers(scene, PANDA, AROUND)
+    assert not said and np.allclose(marked.cubes[0.1], [[0.05, 0.05, 0.05]])
+    assert np.allclose(scene.voxels.pose @ [0.05, 0.05, 0.05, 1.0], [0.45, 0.05, 0.25, 1.0])
+    for bad in (m.octomap(OCTREE[:9], 0.1), m.octomap(OCTREE, name='ColorOcTree'),
+                m.octomap(OCTREE, 0.1, frame='moon')):
+        kept, said = after(m.scene(voxels=bad), begin=scene)
+        assert kept is scene and len(said) == 1 and said[0].startswith('octomap ignored: ')
+    # A change says nothing of it, and one that clears it has a name and no bytes.
+    assert after(m.scene(), begin=scene)[0] is scene
+    for clears in (m.scene(voxels=m.octomap(name='cleared')), m.scene(is_diff=False)):
+        assert after(clears, begin=scene)[0].voxels is None
+
+
+def test_of_too_many_cubes_the_nearest_to_the_arm_count(monkeypatch):
+    monkeypatch.setattr(scene_markers_module, 'MOST_CUBES', 3)
+    full = b'\0\0\0\0'
+
+    def node(depth):
+        return full + (b'\xff' + 8 * node(depth - 1) if depth else b'\0')
+
+    scene, _ = after(m.scene(voxels=m.octomap(node(2), 1e-4, binary=False)))
+    marked = scene_markers(scene, PANDA, AROUND)
+    assert len(scene.voxels.cubes.edges) > 3
+    away = np.linalg.norm(scene.voxels.cubes.centers - CENTER, axis=1)
+    nearest = np.concatenate([*marked.cubes.values()])
+    assert np.allclose(sorted(np.linalg.norm(nearest - CENTER, axis=1)), sorted(away)[:3])
+    assert 'the 3 nearest to the arm count' in marked.remarks[0]
+
+
 def test_zero_quaternions_are_none_and_others_are_normalised():
     """As MoveIt has it."""
     for quaternion in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1e-300), (0.0, 0.0, 0.0, -7.0)):
@@ -482,3 +515,5 @@ def test_no_message_makes_an_exception_and_all_markers_can_be_used(messages):
     names = {*scene.objects, *scene.held}
     for obstacle in published(scene)[0].names:
         assert obstacle.rpartition('/')[0] in names or obstacle.isdecimal()
+    contacts = allowed_contacts(scene.matrix, obstacle_ids(scene, PANDA), scene.held, PANDA)
+    AllowedContacts(contacts.entries, PANDA)

@@ -10,15 +10,15 @@ import scene_messages as m
 from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.obstacles.contacts import AllowedContacts
 from redundant_planner.core.obstacles.obstacle import Obstacle
-from redundant_planner.perception.scene_contacts import (
-    allowed_contacts,
-    Held,
-    matrix_of,
-    MOST_ENTRIES,
-)
+from redundant_planner.perception.scene_contacts import allowed_contacts, matrix_of, MOST_ENTRIES
+from redundant_planner.perception.scene_records import HeldObject
 
 PANDA = make_panda()
 LINKS = sorted({capsule.frame for capsule in PANDA.capsules})
+
+
+def attached(link, *touch_links):
+    return HeldObject(link, np.eye(4), (), touch_links)
 
 
 def entries(matrix, things, held=None):
@@ -49,19 +49,19 @@ def test_defaults_count_where_the_matrix_says_nothing(defaults, allowed):
 
 def test_what_is_held_may_touch_what_it_stands_on():
     matrix = m.matrix(['cup', 'table'], [('cup', 'table')])
-    found = entries(matrix, ['table'], {'cup': Held('panda_hand', ())})
+    found = entries(matrix, ['table'], {'cup': attached('panda_hand')})
     assert found.entries == ('attached/cup:table',)
 
 
 def test_touch_links_that_move_with_the_tip_need_nothing_and_others_are_named():
-    held = {'cup': Held('panda_hand', ('panda_leftfinger', 'panda_link7', 'panda_link5'))}
+    held = {'cup': attached('panda_hand', 'panda_leftfinger', 'panda_link7', 'panda_link5')}
     found = entries(None, [], held)
     assert found.entries == () and len(found.remarks) == 1
     assert "keeps it from 'panda_link5' all the same" in found.remarks[0]
 
 
 def test_what_is_attached_to_the_base_may_touch_its_touch_links():
-    found = entries(None, ['plate'], {'plate': Held('panda_link0', ('panda_link2',))})
+    found = entries(None, ['plate'], {'plate': attached('panda_link0', 'panda_link2')})
     assert found.entries == ('panda_link2:plate',)
 
 
