@@ -6,15 +6,17 @@ arm has not moved by a turn between two measurements, so a leap of about one is 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.turns import TURN
+if TYPE_CHECKING:  # a simulated arm that wraps needs no mathematics
+    from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
+
+_TURN = 2.0 * np.pi  # [rad]
 
 # How far a leap of a joint with limits may be from a whole turn: what it moves between two
 # measurements [rad].
@@ -54,7 +56,7 @@ class Seams(NamedTuple):
 
     def leap(self, change: Array) -> Array:
         """Return the whole turns (…, n) in what measurements changed by (…, n) [rad]."""
-        turns = TURN * np.rint(change / TURN)
+        turns = _TURN * np.rint(change / _TURN)
         return np.where(np.abs(change - turns) <= self.slack, turns, 0.0)
 
     def at_first(self, q: Array) -> Array:
@@ -66,7 +68,7 @@ class Seams(NamedTuple):
         turned = np.zeros(len(q))
         beyond = (q < self.position_min - _BEYOND) | (q > self.position_max + _BEYOND)
         for j in np.flatnonzero(beyond & (self.slack > 0.0)):
-            for turn in (TURN, -TURN):
+            for turn in (_TURN, -_TURN):
                 if self.position_min[j] <= q[j] - turn <= self.position_max[j]:
                     turned[j] = turn
         return turned
@@ -114,5 +116,5 @@ class Unwrapping:
 
 def wrapped(q: Array, position_max: Array) -> Array:
     """Return positions (n,) as drivers give them: without limits within (−π, π] [rad, m]."""
-    turns = np.where(np.isinf(position_max), np.ceil((q - np.pi) / TURN), 0.0)
-    return np.asarray(q - TURN * turns)
+    turns = np.where(np.isinf(position_max), np.ceil((q - np.pi) / _TURN), 0.0)
+    return np.asarray(q - _TURN * turns)
