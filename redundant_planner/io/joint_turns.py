@@ -88,13 +88,14 @@ class Unwrapping:
         self._seams = seams
         n = len(seams.slack)
         self.turned: Array = np.zeros(n)
+        self._has_turned = False
         self.measured = np.full(n, np.nan)  # the latest, as it came
 
     def posture(self, measured: Array) -> Array:
         """Return a posture (n,) as the arm takes it, from measured positions (n,); see `rows`."""
         if np.abs(measured - self.measured).max() < _NO_LEAP:  # NaN is not
             self.measured = measured
-            return measured - self.turned
+            return measured - self.turned if self._has_turned else measured
         return np.asarray(self.rows(measured[None])[0])
 
     def rows(self, measured: Array) -> Array:
@@ -111,6 +112,7 @@ class Unwrapping:
         turned += np.where(np.isnan(before), 0.0, self._seams.leap(measured - before))
         turned = self.turned + np.cumsum(np.nan_to_num(turned), axis=0)
         self.measured, self.turned = measured[-1].copy(), turned[-1].copy()
+        self._has_turned = bool(self.turned.any())
         return np.asarray(measured - turned)
 
 
