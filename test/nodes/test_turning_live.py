@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+import subprocess
+import sys
+import time
 
 from bench import CREEPING
 from conftest import EXAMPLE_ROBOTS
@@ -177,6 +181,23 @@ def test_a_joint_target_is_reached_the_short_way_round(ros, wraps):
     assert_undisturbed(ros)
 
 
+def test_go_to_takes_the_short_way_round_too(ros):
+    """With joint states in parts, for which the tool waits."""
+    start(ros, in_parts=True, initial_positions=[*START[:5], 3.0])
+    until_ready(ros)
+    turned = Turned(ros)
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(ros.node.context.get_domain_id())}
+    for target in ('3.5', '-2.78'):
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'redundant_planner.tools.go_to', '--joints',
+             f'{NAMES[5]}={target}', '--wait'], env=environment, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        ros.wait_for(lambda process=process: process.poll() is not None, 'the end of go_to')
+        assert process.returncode == 0, process.communicate()
+        assert turned.now == pytest.approx(0.5, abs=0.01)
+    assert turned.most < 0.52 and turned.least > -0.02
+
+
 def test_joint_states_come_in_parts(ros, tmp_path):
     """At two rates, in another order, with a gripper and doubles of the joints in between."""
     start(ros, in_parts=True)
@@ -235,3 +256,24 @@ def test_the_simulated_arm_wraps_within_minus_pi_and_pi(ros):
     start(ros, initial_positions=[4.0, 4.0, 4.0, -4.0, 4.0, 7.0], noise=0.0)
     np.testing.assert_allclose(ros.state(NAMES), wrapped(
         np.array([4.0, 4.0, 4.0, -4.0, 4.0, 7.0]), ROBOT.position_max))
+
+
+def test_the_simulated_arm_with_mass_wraps_and_is_told_wrapped_positions(ros):
+    """Its servo takes positions: whichever turn they are of, it stays where it is."""
+    pytest.importorskip('mujoco')
+    ros.processes.start('mujoco_hardware_node', [], {
+        **ARM, 'tip_frame': PLANNER['tip_frame'], 'link_radius': 0.03, 'servo': 'position',
+        'initial_positions': [*START[:5], 3.5], 'gravity': [0.0, 0.0, 0.0]})
+    ros.wait_for(lambda: ros.states, 'joint_states')
+    first = ros.state(NAMES)
+    assert first[5] == pytest.approx(3.5 - TURN, abs=1e-2)
+    turned = Turned(ros)
+    commander = ros.node.create_publisher(JointState, 'joint_command', 10)
+    ros.wait_for(commander.get_subscription_count, 'the arm')
+    for turns in (0.0, TURN, -2.0 * TURN):
+        end = time.monotonic() + 0.5
+        told = [*START[:5], 3.6 - TURN + turns]
+        ros.wait_for(lambda end=end: time.monotonic() > end, 'the end', meanwhile=lambda told=told:
+                     commander.publish(JointState(name=NAMES, position=told, velocity=[0.0] * 6)))
+    assert turned.now == pytest.approx(0.1, abs=0.02)
+    assert turned.most < 0.15 and turned.least > -0.05
