@@ -151,7 +151,7 @@ class ChosenJoints:
     def __init__(
         self, topic: str, names: Sequence[str], left_out: LeftOut, seams: Seams | None = None,
     ) -> None:
-        """Pick the joints of these names; without names those of the first chunk."""
+        """Pick the joints of these names; without names those of the first message."""
         self.names = tuple(names)
         self._topic, self._left_out = topic, left_out
         self._seen: tuple[str, ...] = ()
@@ -163,7 +163,8 @@ class ChosenJoints:
 
         In parts, those that wait for other joints come later.
         """
-        self.names = self.names or chunk.names
+        self.names = self.names or tuple(
+            name for name, there in zip(chunk.names, chunk.present[0]) if there)
         self._seen = tuple(dict.fromkeys((*self._seen, *chunk.names)))
         count, n = len(chunk.stamps), len(self.names)
         columns = [chunk.names.index(name) for name in self.names if name in chunk.names]

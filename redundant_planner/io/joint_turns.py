@@ -6,15 +6,17 @@ arm has not moved by a turn between two measurements, so a leap of about one is 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.turns import TURN
+if TYPE_CHECKING:  # a simulated arm that wraps needs no mathematics
+    from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
+
+_TURN = 2.0 * np.pi  # [rad]
 
 # How far a leap of a joint with limits may be from a whole turn: what it moves between two
 # measurements [rad].
@@ -54,7 +56,7 @@ class Seams(NamedTuple):
 
     def leap(self, change: Array) -> Array:
         """Return the whole turns (…, n) in what measurements changed by (…, n) [rad]."""
-        turns = TURN * np.rint(change / TURN)
+        turns = _TURN * np.rint(change / _TURN)
         return np.where(np.abs(change - turns) <= self.slack, turns, 0.0)
 
     def at_first(self, q: Array) -> Array:
@@ -66,7 +68,7 @@ class Seams(NamedTuple):
         turned = np.zeros(len(q))
         beyond = (q < self.position_min - _BEYOND) | (q > self.position_max + _BEYOND)
         for j in np.flatnonzero(beyond & (self.slack > 0.0)):
-            for turn in (TURN, -TURN):
+            for turn in (_TURN, -_TURN):
                 if self.position_min[j] <= q[j] - turn <= self.position_max[j]:
                     turned[j] = turn
         return turned
@@ -86,13 +88,14 @@ class Unwrapping:
         self._seams = seams
         n = len(seams.slack)
         self.turned: Array = np.zeros(n)
+        self._has_turned = False
         self.measured = np.full(n, np.nan)  # the latest, as it came
 
     def posture(self, measured: Array) -> Array:
         """Return a posture (n,) as the arm takes it, from measured positions (n,); see `rows`."""
         if np.abs(measured - self.measured).max() < _NO_LEAP:  # NaN is not
             self.measured = measured
-            return measured - self.turned
+            return measured - self.turned if self._has_turned else measured
         return np.asarray(self.rows(measured[None])[0])
 
     def rows(self, measured: Array) -> Array:
@@ -109,10 +112,11 @@ class Unwrapping:
         turned += np.where(np.isnan(before), 0.0, self._seams.leap(measured - before))
         turned = self.turned + np.cumsum(np.nan_to_num(turned), axis=0)
         self.measured, self.turned = measured[-1].copy(), turned[-1].copy()
+        self._has_turned = bool(self.turned.any())
         return np.asarray(measured - turned)
 
 
 def wrapped(q: Array, position_max: Array) -> Array:
     """Return positions (n,) as drivers give them: without limits within (−π, π] [rad, m]."""
-    turns = np.where(np.isinf(position_max), np.ceil((q - np.pi) / TURN), 0.0)
-    return np.asarray(q - TURN * turns)
+    turns = np.where(np.isinf(position_max), np.ceil((q - np.pi) / _TURN), 0.0)
+    return np.asarray(q - _TURN * turns)

@@ -173,7 +173,7 @@ class CloudObstacles(EndableNode):
             pose = None
             try:
                 if posture.fit is not Fit.KNOWN:
-                    raise StateError(_why(posture, self._reader.missing))
+                    raise StateError(_why(posture, self._reader.missing, self._own.n))
                 pose = self._pose(cloud.layout)
             except (StateError, ObstacleError) as error:
                 final = posture.fit in (Fit.TOO_OLD, Fit.GAP) or (
@@ -250,11 +250,11 @@ class CloudObstacles(EndableNode):
             self._warn(f'no points for {silent:.0f} s: the {count} voxels stay as last seen')
 
 
-def _why(posture: Posture, missing: Sequence[str]) -> str:
-    """Return why no posture fits a cloud's stamp; joints are missing that were never measured."""
+def _why(posture: Posture, missing: Sequence[str], n: int) -> str:
+    """Return why no posture fits a cloud's stamp; some of n joints may never have come."""
     if missing:
-        return (f'no joint_states of {known(missing)} have come; without them the arm would see '
-                'itself')
+        whose = f' of {known(missing)}' if len(missing) < n else ''
+        return f'no joint_states{whose} have come; without them the arm would see itself'
     away = f'{posture.away:.3g} s'
     return {
         Fit.TOO_EARLY_TO_SAY: f'their stamp is {away} later than the newest joint_states; do the '

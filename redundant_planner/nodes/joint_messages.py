@@ -93,8 +93,11 @@ class JointReader:
         q = [values[i] for i in kind.places]
         if not all(-LARGEST <= value <= LARGEST for value in q):
             values_of(kind.layout.names, values, [self._names[j] for j in kind.which], 'position')
-        measured = self._measured.copy()
-        measured[kind.which] = q
+        if len(q) == len(self._names):
+            measured = np.array(q)
+        else:
+            measured = self._measured.copy()
+            measured[kind.which] = q
         self._measured = measured
         self._posture = (measured if self._unwrapping is None
                          else self._unwrapping.posture(measured))

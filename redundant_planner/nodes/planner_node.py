@@ -11,7 +11,7 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -53,6 +53,8 @@ from redundant_planner.nodes.tick_phase import delay_to_middle
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
+# Joint states that a tick may find: the newest of several publishers, however often each speaks.
+_JOINT_STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT)
 # How often the node looks for other publishers on its topics [s].
 _LOOK_AROUND = 0.5
 # How long changed parameters wait for others, so that one message has them all [s].
@@ -156,7 +158,8 @@ class PlannerNode(EndableNode):
         stamped = self._settings.node.enable_stamped_cmd_vel
         # Each tick fetches these: they do not age while other callbacks run.
         loop.inboxes = [
-            (PolledSubscription(self, JointState, 'joint_states'), loop.on_joint_states),
+            (PolledSubscription(self, JointState, 'joint_states', _JOINT_STATES),
+             loop.on_joint_states),
             (PolledSubscription(self, TwistStamped if stamped else Twist, 'cmd_vel'),
              loop.command.on_twist_stamped if stamped else loop.command.on_twist),
             # Sent once and meant to be heard, unlike a stream of twists.

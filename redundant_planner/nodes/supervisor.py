@@ -32,6 +32,8 @@ _MOVED = 'something else has moved the arm: it stays where it is'
 # The answer to who pauses a planner that somebody has paused before.
 PAUSED_ALREADY = 'paused already: the arm is left to others'
 
+_ALL = slice(None)
+
 
 class Decision(NamedTuple):
     """What the arm may do in a tick.
@@ -103,22 +105,18 @@ class Supervisor:
         self.was_moved = False
 
     def measured(
-        self, posture: Array, now: float, which: npt.NDArray[np.intp] | None = None,
+        self, posture: Array, now: float, which: npt.NDArray[np.intp] | slice = _ALL,
     ) -> None:
         """Take a measured posture, and see whether the arm has jumped.
 
         Args:
             posture: (n,) the latest of each joint [rad, m]; NaN where there is none yet.
             now: [s].
-            which: (k,) the joints that were measured now; None for all.
+            which: (k,) the joints that were measured now; all of them if left out.
         """
-        elapsed = now - self._measured_at
-        if which is None:
-            self._measured_at[:] = now
-        else:
-            self._measured_at[which] = now
         self._heard_at = min(self._heard_at, now)
-        if np.isnan(posture).any():
+        if self.posture is None and np.isnan(posture).any():
+            self._measured_at[which] = now
             return
         if self._first_posture is None or (self.listening and float(
                 np.abs(posture - self._first_posture).max()) > MOVED_BY_OTHERS):
@@ -126,9 +124,11 @@ class Supervisor:
             # is commanded by a node that it may not have found yet.
             self._first_posture, self._listen_until = posture, now + LISTENING
         elif not self.listening and self.posture is not None and has_jumped(
-                self.posture, posture, self._velocity_max, elapsed, self._position_tolerance):
+                self.posture, posture, self._velocity_max, now - self._measured_at,
+                self._position_tolerance):
             self._restart = 'joint_states jumped: the motion starts again from where the arm is'
         self.posture = posture
+        self._measured_at[which] = now
 
     def heard_others(self, joint_names: Sequence[str]) -> None:
         """Note joint_states of other joints than the arm's."""

@@ -18,7 +18,9 @@ from sensor_msgs.msg import JointState
 from redundant_planner.analysis.drive_fit import Motion
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.parameters import AXES
-from redundant_planner.nodes.messages import twist_to_message
+from redundant_planner.io.joint_chunks import ChosenJoints, JointBatch
+from redundant_planner.io.left_out import LeftOut
+from redundant_planner.nodes.messages import NANOSECONDS, twist_to_message
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
 
 Array = npt.NDArray[np.float64]
@@ -56,23 +58,21 @@ class _Listener:
     def __init__(self) -> None:
         self.node = Node('identify_delay', enable_rosout=False, start_parameter_services=False)
         self.names: tuple[str, ...] = ()
-        self.commands: list[tuple[float, Array]] = []
-        self.states: list[tuple[float, dict[str, float]]] = []
+        self.commands: list[tuple[int, Array]] = []  # stamps [ns]
+        self.states: list[bytes] = []
         self.node.create_subscription(
             JointState, 'joint_command', self._on_command, qos_profile_sensor_data)
         self.node.create_subscription(
-            JointState, 'joint_states', self._on_state, qos_profile_sensor_data)
+            JointState, 'joint_states', self.states.append, qos_profile_sensor_data, raw=True)
         self.executor = best_executor(self.node.context)
         self.executor.add_node(self.node)
 
     def _on_command(self, message: JointState) -> None:
         self.names = self.names or tuple(message.name)
         if tuple(message.name) == self.names and len(message.velocity) == len(self.names):
-            self.commands.append((_seconds(message), np.array(message.velocity)))
-
-    def _on_state(self, message: JointState) -> None:
-        if len(message.position) == len(message.name):
-            self.states.append((_seconds(message), dict(zip(message.name, message.position))))
+            stamp = message.header.stamp
+            self.commands.append((
+                stamp.sec * NANOSECONDS + stamp.nanosec, np.array(message.velocity)))
 
     def wait(self, seconds: float) -> None:
         """Listen for so long."""
@@ -88,19 +88,20 @@ class _Listener:
         """
         if not self.commands:
             raise StateError('the planner commanded nothing; /diagnostics says why')
-        states = [(at, [state[name] for name in self.names]) for at, state in self.states
-                  if all(name in state for name in self.names)]
-        if not states:
-            raise StateError(f'joint_states never had all of {list(self.names)}')
         origin = self.commands[0][0]
-        return Motion(np.array([at - origin for at, _ in self.commands]),
+        left_out = LeftOut()
+        batch, joints = JointBatch('joint_states', left_out), ChosenJoints(
+            'joint_states', self.names, left_out)
+        for raw in self.states:
+            batch.add(0.0, raw)
+        chunks = [joints.of(chunk) for chunk in batch.chunk(origin)] + [joints.rest()]
+        found = [chunk for chunk in chunks if chunk is not None]
+        if not found:
+            raise StateError(f'joint_states never had all of {list(self.names)}')
+        return Motion(np.array([1e-9 * (at - origin) for at, _ in self.commands]),
                       np.array([dq for _, dq in self.commands]),
-                      np.array([at - origin for at, _ in states]),
-                      np.array([q for _, q in states]))
-
-
-def _seconds(message: JointState) -> float:
-    return float(message.header.stamp.sec) + 1e-9 * float(message.header.stamp.nanosec)
+                      np.concatenate([chunk.stamps for chunk in found]),
+                      np.concatenate([chunk.positions for chunk in found]))
 
 
 def ask_and_move(

@@ -9,6 +9,8 @@ from types import SimpleNamespace
 from hypothesis import given, strategies as st
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
 
 from benchmark.ros2_control import Manager, Point, POSITION, Settings, TRAJECTORY, VELOCITY
 from redundant_planner.core.safety.jerk import SmoothStop
@@ -176,3 +178,23 @@ def test_joint_command_counts_where_there_is_no_other_output():
     topics['joint_command'].listeners = 0
     assert commands.unheard().startswith(
         'nobody listens to joint_command on /arm/joint_command any more: load the driver')
+
+
+def positions(topics):
+    """Those that are published, on each topic that has some."""
+    state = deserialize_message(topics['joint_command'][-1], JointState)
+    return [np.array(state.position), np.array(topics['position_commands'][-1].data),
+            np.array(topics['joint_trajectory'][-1].points[0].positions)]
+
+
+def test_positions_are_told_in_the_count_of_the_arms_driver():
+    """A whole turn off for one joint; a trajectory stays within its limits all the same."""
+    turned = np.array([-2.0 * np.pi, 0.0])
+    for q in (np.array([1.0, 0.5]), np.array([1.999, 0.5])):
+        plain, counted = {}, {}
+        output(plain).publish(0, q, TOP)
+        output(counted).publish(0, q, TOP, turned)
+        for there, here in zip(positions(counted), positions(plain)):
+            np.testing.assert_allclose(there, here + turned, atol=1e-12)
+        assert counted['velocity_commands'][-1].data == plain['velocity_commands'][-1].data
+        assert positions(plain)[2][0] <= 2.0

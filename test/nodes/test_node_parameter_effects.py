@@ -344,7 +344,8 @@ NAMES_SOMETHING = {
         'rate', 'enable_stamped_cmd_vel', 'obstacle_topics', 'outputs', 'publish_ticks',
         'thread_priority', 'static_obstacles'},
     FakeHardwareParameters: {
-        'rate', 'initial_joints', 'initial_positions', 'lag', 'noise', 'thread_priority'},
+        'rate', 'initial_joints', 'initial_positions', 'lag', 'noise', 'wrap_continuous',
+        'thread_priority'},
     PhysicsParameters: {'physics_rate'},
     CloudParameters: {'sensor_pose', 'sensor_frame', 'self_capsules'},
     SceneParameters: {'scene_planner', 'allowed_contacts'},

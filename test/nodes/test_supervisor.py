@@ -256,3 +256,69 @@ def test_in_any_sequence_of_events_the_arm_moves_only_if_nothing_forbids_it(even
         forbidden = paused or second or failed or jumped or event == 'silence'
         assert not (moves and forbidden), event
         assert moves or forbidden or event in ('reset', 'jump', 'gap'), event
+
+
+def test_each_joint_has_an_age_of_its_own_and_the_oldest_counts():
+    supervisor, now = Supervisor(FASTEST, TOLERANCE, ('rail', 'arm')), START
+    rail, arm = np.array([0]), np.array([1])
+
+    def wait(seconds, *parts):
+        nonlocal now
+        for _ in range(round(seconds / PERIOD)):
+            now += PERIOD
+            for part in parts:
+                supervisor.measured(HOME, now, part)
+            decision = supervisor.decide(now, True, TIMEOUT)
+        return decision
+
+    for _ in range(100):
+        now += PERIOD
+        supervisor.measured(np.array([np.nan, HOME[1]]), now, arm)
+        decision = supervisor.decide(now, True, TIMEOUT)
+    assert decision.hold == "waiting for joint_states of 'rail': missing for 0.4 s"
+    assert not decision.warning  # the other publisher may be about to start
+    assert supervisor.posture is None and supervisor.measurement_age(now) == np.inf
+    for _ in range(200):
+        now += PERIOD
+        supervisor.measured(np.array([np.nan, HOME[1]]), now, arm)
+        decision = supervisor.decide(now, True, TIMEOUT)
+    assert decision.warning == "waiting for joint_states of 'rail': missing for 1.2 s"
+    assert wait(2.0 * LISTENING, rail, arm) == Decision()
+    decision = wait(0.5 * TIMEOUT, arm)
+    assert decision == Decision()
+    assert supervisor.measurement_age(now) == pytest.approx(0.5 * TIMEOUT, abs=PERIOD)
+    decision = wait(TIMEOUT, arm)
+    assert decision.is_fault
+    assert decision.hold.startswith("no usable joint_states of 'rail' for 0.1")
+    assert decision.warning == "no usable joint_states of 'rail' for 0.1 s: stopped"
+    assert wait(2.0 * TIMEOUT).hold.startswith('no usable joint_states for 0.')
+    assert wait(PERIOD, rail, arm) == Decision()
+
+
+def test_joint_states_of_others_alone_are_named_while_the_arm_waits():
+    supervisor = Supervisor(FASTEST, TOLERANCE, ('rail', 'arm'))
+    supervisor.heard_others(['left_rail', 'left_arm'])
+    assert supervisor.decide(START, True, TIMEOUT).hold == (
+        "waiting for joint_states of 'rail', 'arm'; those that come are of 'left_rail', "
+        "'left_arm'")
+
+
+def test_a_part_that_comes_seldom_has_not_jumped():
+    """In the time since its own last measurement it may move as far as it can."""
+    supervisor, now = Supervisor(FASTEST, TOLERANCE, ('slow', 'fast')), START
+    posture = HOME.copy()
+    while now < START + 2.0 * LISTENING:
+        now += PERIOD
+        supervisor.measured(posture, now)
+        supervisor.decide(now, False, 1.0)
+    for tick in range(1, 400):
+        now += PERIOD
+        posture = posture + [0.0, 0.99 * PERIOD * FASTEST[1]]
+        if tick % 100 == 0:  # 0.4 s of full speed, well above the tolerance
+            posture[0] += 0.99 * 100 * PERIOD * FASTEST[0]
+            supervisor.measured(posture, now, np.array([0]))
+        supervisor.measured(posture, now, np.array([1]))
+        assert supervisor.decide(now, False, 1.0) == Decision()
+    posture = posture + [0.6, 0.0]
+    supervisor.measured(posture, now, np.array([0]))
+    assert 'jumped' in supervisor.decide(now, False, 1.0).hold

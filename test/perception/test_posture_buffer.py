@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from redundant_planner.perception.posture_buffer import Fit, LONGEST_GAP, PostureBuffer
+from redundant_planner.perception.posture_buffer import (
+    Fit,
+    LONGEST_GAP,
+    PostureBuffer,
+    PosturesInParts,
+)
 
 
 def buffer_of(stamps, velocity_max=10.0, dq=None):
@@ -62,3 +67,38 @@ def test_old_measurements_go():
     assert buffer.at(95.0).fit is Fit.KNOWN and buffer.at(80.0).fit is Fit.TOO_OLD
     crowded = buffer_of(np.arange(0.0, 0.003, 1e-7))
     assert len(crowded) <= 20_001
+
+
+def test_parts_are_each_interpolated_between_their_own_measurements():
+    parts = PosturesInParts(np.array([5.0, 5.0]))
+    assert parts.at(1.0).fit is Fit.TOO_EARLY_TO_SAY
+    one, other = np.array([0]), np.array([1])
+    for i in range(11):
+        parts.add(1.0 + 0.01 * i, one, np.array([0.1 * i]), None)
+        if i % 5 == 0:
+            parts.add(1.0 + 0.01 * i, other, np.array([-0.2 * i]), np.array([-3.0]))
+    found = parts.at(1.033)
+    assert found.fit is Fit.KNOWN
+    np.testing.assert_allclose(found.q, [0.33, -0.66], atol=1e-9)
+    np.testing.assert_allclose(found.speed, [5.0, 5.0])  # at most what joints can do
+    # As long as one part may still come, the moment is too early.
+    parts.add(1.11, one, np.array([1.1]), None)
+    assert parts.at(1.105).fit is Fit.TOO_EARLY_TO_SAY
+    parts.add(1.15, other, np.array([-3.0]), None)
+    assert parts.at(1.105).fit is Fit.KNOWN
+    # A gap of one part is a gap, whatever the other says.
+    for i in range(100):
+        parts.add(1.15 + 0.01 * i, one, np.array([0.0]), None)
+    parts.add(2.1, other, np.array([-3.0]), None)
+    assert parts.at(1.6).fit is Fit.GAP
+    assert parts.at(0.5).fit is Fit.TOO_OLD
+
+
+def test_a_publisher_of_all_joints_takes_the_place_of_two():
+    parts = PosturesInParts(np.array([5.0, 5.0]))
+    for i in range(5):
+        parts.add(1.0 + 0.01 * i, np.array([0]), np.array([0.0]), None)
+        parts.add(1.0 + 0.01 * i, np.array([1]), np.array([0.0]), None)
+    for i in range(5):
+        parts.add(2.0 + 0.01 * i, np.array([0, 1]), np.array([1.0, 2.0]), None)
+    np.testing.assert_array_equal(parts.at(2.015).q, [1.0, 2.0])
