@@ -137,6 +137,7 @@ def test_objects_are_avoided_held_let_go_and_told_to_planners_that_start_late(br
     ros.wait_for(ros.at_rest, 'rest')
     sender.send('attached_collision_object', m.attached(HAND, m.thing('cup'), ['panda_link5']))
     bridge.until('2', 'cup/0')
+    ros.wait_for(lambda: bridge.held, 'what the hand holds')
     at = bridge.held[-1].pose.position
     there = PANDA.in_base(ros.state(PANDA.joint_names), HAND, np.array([[at.x, at.y, at.z]]))[0]
     assert np.linalg.norm(there - AT_START.tip_position - [0.0, 0.0, 0.25]) < 1e-3
@@ -184,6 +185,7 @@ def test_move_group_is_asked_whenever_it_starts_and_counts_alone_while_it_speaks
     sender.send('monitored_planning_scene', m.scene(
         [box('d', (1.0, 0.0, 0.8), 0.1, 0.1, 0.1)], voxels=voxels))
     bridge.until('3')
+    ros.wait_for(lambda: any(marker.ns == '<octomap>' for marker in bridge.markers), 'its cubes')
     cubes = [marker for marker in bridge.markers if marker.ns == '<octomap>'][-1]
     assert cubes.scale.x == 0.1 and cubes.pose.position.x == 0.95
     assert np.allclose([cubes.points[0].x, cubes.points[0].y, cubes.points[0].z], 0.05)
