@@ -35,7 +35,8 @@ _ROUND_OFF = 1e-6
 
 _SHAPES = ('<sphere radius="0.05"/>', '<box size="0.1 0.05 0.2"/>',
            '<cylinder radius="0.04" length="0.2"/>', '<capsule radius="0.04" length="0.2"/>',
-           '<mesh filename="mesh.stl"/>', '<mesh filename="mesh.obj" scale="0.5 -1 1"/>')
+           '<mesh filename="mesh.stl"/>', '<mesh filename="mesh.obj" scale="0.5 -1 1"/>',
+           '<mesh filename="mesh.dae" scale="1 1 0.5"/>')
 _BAD_SHAPES = (
     '', '<sphere/>', '<sphere radius="nan"/>', '<sphere radius="-1"/>', '<sphere radius="abc"/>',
     '<box size="0.1 0.1"/>', '<box size="0 0 0"/>', '<cylinder radius="0.1"/>', '<cone/>',
@@ -45,7 +46,21 @@ _BAD_SHAPES = (
     '<mesh filename="package://../x"/>', '<mesh filename="."/>', '<mesh filename="/dev/zero"/>',
     '<sphere radius="1"/><sphere radius="1"/>', '<sphere radius="1e300"/>',
     '<sphere radius="1e-300"/>', '<octree/>')
+_LIMITS = ('lower', 'upper', 'velocity', 'acceleration', 'deceleration', 'jerk')
+_RANGES = ((), (), ('joint1=-1..1',), ('joint1=-9..1e2',), ('joint1=0.1..0.2', 'joint2=-1..2'))
 _KINDS = ('revolute', 'continuous', 'prismatic', 'fixed', 'floating', 'planar', 'hinge', '')
+
+# In centimetres; to be filled with places and indices.
+_COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="0.01"/></asset><library_geometries><geometry id="g"><mesh><source id="s">
+<float_array id="a" count="12">{}</float_array><technique_common>
+<accessor source="#a" count="4" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#s"/></vertices><triangles count="4">
+<input semantic="VERTEX" source="#v" offset="0"/><p>{}</p></triangles></mesh></geometry>
+</library_geometries><library_visual_scenes><visual_scene id="w"><node id="n">
+<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#w"/></scene></COLLADA>"""
 
 
 def attack(random: np.random.Generator, folder: Path, tally: Tally) -> None:
@@ -65,7 +80,7 @@ def attack(random: np.random.Generator, folder: Path, tally: Tally) -> None:
     parameters = RobotParameters(
         urdf=str(file), tip_frame=tip, velocity_max=() if random.random() < 0.8 else (1.0,),
         axes=AXES[:int(random.integers(1, 7))], link_radius=0.03,
-        link_shapes='straight' if straight else 'fitted')
+        link_shapes='straight' if straight else 'fitted', position_limits=pick(random, _RANGES))
     robot = tally.attempt(lambda: build_robot(parameters, file.read_text(), {}))
     if robot is None:
         return
@@ -157,6 +172,8 @@ def _write_meshes(folder: Path) -> None:
     lines = [f'v {x} {y} {z}' for x, y, z in corners]
     lines += [f'f {a + 1} {b + 1} {c + 1}' for a, b, c in faces]
     (folder / 'mesh.obj').write_text('\n'.join(lines))
+    places, indices = (' '.join(map(str, np.ravel(array))) for array in (100.0 * corners, faces))
+    (folder / 'mesh.dae').write_text(_COLLADA.format(places, indices))
 
 
 def _nothing(random: np.random.Generator, folder: Path, text: str) -> str:
@@ -173,6 +190,10 @@ def _numbers(random: np.random.Generator, folder: Path, text: str) -> str:
 
 def _meshes(random: np.random.Generator, folder: Path, text: str) -> str:
     """Spoil the mesh files of a small arm."""
+    collada = folder / 'mesh.dae'
+    if collada.is_file():
+        # Its unit alone, which this package reads.
+        collada.write_text(collada.read_text().replace('"0.01"', f'"{pick(random, NUMBERS)}"'))
     for name in ('mesh.stl', 'mesh.obj'):
         file = folder / name
         if file.is_file():
@@ -212,8 +233,8 @@ def _structure(random: np.random.Generator, folder: Path, text: str) -> str:
             lambda j=joint, n=name: [end.set('link', n) for end in j.findall('child')],
             lambda j=joint, n=leader: ElementTree.SubElement(
                 j, 'mimic', joint=n, multiplier=pick(random, NUMBERS)),
-            lambda j=joint: [limit.set(pick(random, ('lower', 'upper', 'velocity')),
-                                       pick(random, NUMBERS)) for limit in j.findall('limit')],
+            lambda j=joint: [limit.set(pick(random, _LIMITS), pick(random, NUMBERS))
+                             for limit in j.findall('limit')],
         ))
         change()
     return ElementTree.tostring(root, encoding='unicode')

@@ -72,7 +72,7 @@ def way_out(
     arms = robot.kinematics_along(q[None])
     here, values, room = arms, _singular_values(arms)[0], _room(arms, 0, constants)
     moves = np.zeros(robot.n)
-    for _ in range(_MOST_JOINTS):
+    for _ in range(min(_MOST_JOINTS, robot.n)):
         if values[-1] > regular:
             break
         free = np.flatnonzero(moves == 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from conftest import EXAMPLE_ROBOTS, make_panda, make_planar
+from conftest import EXAMPLE_ROBOTS, make_panda, make_planar, planar_urdf
 import numpy as np
 import pytest
 
@@ -53,6 +53,12 @@ def test_a_stretched_planar_arm_bends_its_elbow():
         r"(in|de)crease joint 'joint\d'( and (in|de)crease joint 'joint\d')? to get out: "
         r'go_to --relative --position -\d\.\d\d -?\d\.\d\d 0\.00 --rpy 0\.00 0\.00 -?\d\.\d\d',
         str(found))
+
+
+def test_an_arm_of_one_joint_has_no_second_one_to_move():
+    robot = Robot(planar_urdf(('revolute',), (0.05,)), 'tip', axes=('vx',), link_radius=0.0)
+    found = found_at(robot, np.zeros(1))
+    assert [name for name, _ in found.joints] == ['joint1']
 
 
 def test_a_regular_posture_needs_no_way_out():
