@@ -6,9 +6,12 @@ in the test's own process, states would come late.
 
 from __future__ import annotations
 
+import contextlib
+
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -53,5 +56,6 @@ class Parts(Node):
 
 
 if __name__ == '__main__':
-    rclpy.init()
-    rclpy.spin(Parts())
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    with contextlib.suppress(KeyboardInterrupt):
+        rclpy.spin(Parts())
