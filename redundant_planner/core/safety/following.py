@@ -33,6 +33,8 @@ _NOISE = 2.5e-3
 # An arm that moves without a command so soon after the first one takes it for another joint's, or
 # was elsewhere for its controller: positions make it leap [s].
 _JUST_BEGUN = 0.3
+# A joint that is behind by this share of the tolerance is named beside one that moves by itself.
+_SOMEWHAT = 0.25
 # A joint that was told to move so far, and has done so by this share, follows; one that was told
 # three times as much and has not does not [rad, m].
 _FIRST_MOTION, _FIRST_SHARE = 0.01, 0.3
@@ -117,7 +119,9 @@ class Following:
             stays = stays or (told >= 3.0 * _FIRST_MOTION and done < _FIRST_SHARE * told)
         if self.tolerance <= 0.0 or not (stays or leaps):
             return ''
-        return self._words_of_a_leap() if leaps and not stays else self._words()
+        behind = float(np.abs(self._state[_LOST]).max())
+        return (self._words() if stays or behind > _SOMEWHAT * self.tolerance
+                else self._words_of_a_leap())
 
     @property
     def _movers(self) -> str:
