@@ -30,7 +30,8 @@ STEPS = (
     (('core.tick',), ('core.horizon.path_linearised', 'core.horizon.path_qp')),
     (('core.target.free_space', 'io.obstacle_tracker'), ('core.horizon.multi_start',)),
     (('core.planner',),
-     ('perception.cloud_filter', 'perception.depth_camera', 'io.preview_reader')),
+     ('perception.cloud_filter', 'perception.depth_camera', 'perception.octree',
+      'io.preview_reader')),
 )
 
 

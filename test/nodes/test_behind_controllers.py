@@ -121,7 +121,7 @@ def test_at_equal_rates_the_arm_moves_as_smoothly_as_its_commands(output):
     assert (np.abs(moved[50:]).max(axis=1) > 0.0).all()
 
 
-@pytest.mark.parametrize('case, output', zip(INNOCENT, cycle(OUTPUTS)))
+@pytest.mark.parametrize('case, output', list(zip(INNOCENT, cycle(OUTPUTS))))
 def test_an_arm_that_is_late_or_loose_or_pushed_follows(case, output):
     outcome = innocent(case, output, 10.0, 3)
     assert outcome.alarms == 0 and outcome.restarts == 0
