@@ -177,7 +177,7 @@ def test_a_joint_target_is_reached_the_short_way_round(ros, wraps):
         ros.wait_for(lambda: ros.moves() and len(ros.commands) > 20, 'motion')
         ros.wait_for(lambda to=target: ros.at_rest() and abs(np.sin(
             0.5 * (ros.states[-1].position[5] - to))) < 1e-3, 'arrival')
-    assert 0.48 < turned.most < 0.52 and turned.least > -0.02
+    assert 0.48 < turned.most < 0.55 and turned.least > -0.02
     assert_undisturbed(ros)
 
 
