@@ -7,6 +7,7 @@ import functools
 import hashlib
 import os
 from pathlib import Path
+import re
 import shutil
 import stat
 import zlib
@@ -23,8 +24,7 @@ def machine_code_folder(wish: str, how: str) -> Path | None:
         how: it is compiled, as the end of a name: what is compiled otherwise lies elsewhere.
     """
     here = Path(__file__).parent
-    sources = b''.join(path.read_bytes() for path in sorted(here.rglob('*.py')))
-    version = f'compiled-{zlib.crc32(sources):08x}'
+    version = f'compiled-{zlib.crc32(compiled_sources(here)):08x}'
     name = version + how
     beside = here / '__pycache__'
     # Nobody else keeps anything here: what is left is of other versions.
@@ -37,6 +37,34 @@ def machine_code_folder(wish: str, how: str) -> Path | None:
             drop_damaged(parent / name)
             return parent / name
     return None
+
+
+# What marks a function that is compiled (`kernels`), and what a module takes from others of core.
+_MARKS = re.compile(r'^@(?:compiled|kernel|entry)$', re.MULTILINE)
+_IMPORTS = re.compile(
+    r'^ *from redundant_planner\.core([\w.]*) import (\([^)]*\)|.*)$', re.MULTILINE)
+
+
+def compiled_sources(core: Path) -> bytes:
+    """Return the sources that machine code is made of, one after another.
+
+    Those are the files below a folder that define compiled functions, and all that these import,
+    directly or not: constants are part of the machine code, too. Other files can change without
+    anything being compiled again.
+    """
+    texts = {path: path.read_text() for path in sorted(core.rglob('*.py'))}
+    found = {path for path, text in texts.items() if _MARKS.search(text)}
+    unread = list(found)
+    while unread:
+        for dots, names in _IMPORTS.findall(texts[unread.pop()]):
+            module = core.joinpath(*dots.strip('.').split('.'))
+            # `from core.robot import se3` names a file, `from core.robot.se3 import Pose` is one.
+            files = [module.with_suffix('.py') if module != core else core / '__init__.py',
+                     *(module / f'{name}.py' for name in re.findall(r'\w+', names))]
+            new = [file for file in files if file in texts and file not in found]
+            found.update(new)
+            unread += new
+    return ''.join(texts[path] for path in sorted(found)).encode()
 
 
 def is_private(folder: Path) -> bool:

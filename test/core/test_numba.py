@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
+from redundant_planner.core import machine_code_cache, planner
 from redundant_planner.core.machine_code.choice import untested
-from redundant_planner.core.machine_code_cache import machine_code_folder
+from redundant_planner.core.machine_code_cache import compiled_sources, machine_code_folder
 
 
 def start(cache: Path, broken: str = 'nothing', checks: str = '0') -> tuple[Any, list[str]]:
@@ -80,16 +81,38 @@ def test_others_are_not(version):
     assert untested(version) == f'Numba {version} has not been tried'
 
 
+IMPORTS_LIMITS = 'from redundant_planner.core.limits import (\n    first,\n)\n'
+
+
+def test_machine_code_is_of_all_that_compiled_functions_can_see():
+    """What their modules have imported lies in a file that the folder's name stands for."""
+    core = Path(machine_code_cache.__file__).parent
+    assert planner.__name__ in sys.modules  # and with it all of core
+    sources = compiled_sources(core).decode()
+    seen = [module for name, module in sorted(sys.modules.items())
+            if name.startswith('redundant_planner.core.')
+            and Path(module.__file__).read_text() in sources]
+    assert 40 < len(seen) < len(list(core.rglob('*.py'))) - 20
+    for module in seen:
+        for value in vars(module).values():
+            home = sys.modules.get(getattr(value, '__module__', None) or '', value)
+            if getattr(home, '__name__', '').startswith('redundant_planner.core.'):
+                assert Path(home.__file__).read_text() in sources, (module, value)
+
+
 def test_folders_of_other_versions_go_and_those_of_this_one_stay(tmp_path, monkeypatch):
     """Of a copy of what makes the folder: the real one may be in use."""
     sources = tmp_path / 'core'
     (sources / '__pycache__').mkdir(parents=True)
     monkeypatch.setattr('redundant_planner.core.machine_code_cache.__file__',
                         str(sources / 'machine_code_cache.py'))
-    (sources / 'planner.py').write_text('first = 1\n')
+    (sources / 'tick.py').write_text(f'{IMPORTS_LIMITS}@entry\ndef tick(): ...\n')
+    (sources / 'limits.py').write_text('first = 1\n')
     first = [machine_code_folder.__wrapped__('', how) for how in ('', '-checked', '-plain')]
     assert len(set(first)) == 3 and all(folder.is_dir() for folder in first)
-    (sources / 'planner.py').write_text('second = 2\n')
+    (sources / 'planner.py').write_text('says = "another comment"\n')
+    assert machine_code_folder.__wrapped__('', '') == first[0]
+    (sources / 'limits.py').write_text('second = 2\n')
     second = machine_code_folder.__wrapped__('', '-checked')
     assert second.is_dir() and not any(folder.exists() for folder in first)
     assert machine_code_folder.__wrapped__('', '') not in first and second.is_dir()
