@@ -182,7 +182,7 @@ def _target(item: Event, robot: Robot) -> Target:
             not name all joints.
     """
     if item.topic == 'target_joints':
-        return read_joint_target(bytes(item.raw), robot)
+        return read_joint_target(bytes(item.raw), robot)[1]
     _, frame, pose = read_target(bytes(item.raw))
     if frame not in ('', robot.base_frame):
         raise StateError(f"they are given in frame '{frame}'; without ~/ticks those in "

@@ -333,6 +333,13 @@ class PlannerParameters:
         description='How the tip goes to a target_pose. free: by a short joint path around what '
                     'is in the way. straight: in a line and about one axis; it stops where the '
                     'line is blocked.')
+    target_lag: float = parameter(
+        0.08, low=0.0, high=2.0, unit='s', runtime=True, group='target',
+        description='How far the arm follows behind a stream of targets: in this time noise is '
+                    'averaged, and what is late or missing made good. Where messages are so rare '
+                    'that it is less than 1.4 times the gap between two, it is that; where they '
+                    'come in bursts, these count besides. 0 follows at once, and guesses what has '
+                    'not come yet.')
     target_gives_way: bool = parameter(
         False, runtime=True, group='target',
         description='Whether the arm goes aside for some seconds where it finds no free way to '

@@ -6,7 +6,7 @@ remembers; each of these is an object or a function of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 import math
 from typing import NamedTuple
 
@@ -49,6 +49,7 @@ from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.free_way import JointMotion
 from redundant_planner.core.target.goal import checked_target, Target
+from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.core.target.way import Way
 from redundant_planner.core.tick import Memory, Setup, Wish, wish, World
 
@@ -269,7 +270,7 @@ class Planner:
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float,
         ahead: Preview | TwistAhead | None = None, target: Target | None = None, *,
-        gently: bool = False,
+        news: Sequence[Sighting] = (), gently: bool = False,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`.
 
@@ -287,6 +288,9 @@ class Planner:
             target: where to go, as fast as the limits allow: a pose of the tip, or joint positions
                 (n,) [rad, m]; None to follow the twist. With a target, `twist` and `ahead` do not
                 count.
+            news: all targets that came since the last step, `target` the last of them, with the
+                ages of their stamps: of a stream whose messages come late or several at once.
+                Where it is empty, one came if `target` is another than in the last step.
             gently: whether the arm is only to show that it follows: no joint is asked to be
                 faster than 0.05 rad/s or m/s.
 
@@ -306,7 +310,7 @@ class Planner:
 
         # Aim: at the target, out of the course of what moves, and along the joint path ahead.
         aim = self._aim(Start(arm, last.reference or pose, command, last.dq, dt),
-                        commanded, around, ahead, target)
+                        commanded, around, ahead, target, news)
         start, joints = aim.start, aim.joints
 
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
@@ -355,7 +359,7 @@ class Planner:
 
     def _aim(
         self, start: Start, commanded: bool, around: Surroundings,
-        ahead: Preview | TwistAhead | None, target: Target | None,
+        ahead: Preview | TwistAhead | None, target: Target | None, news: Sequence[Sighting],
     ) -> _Aim:
         """Return where a tick is to lead: to a target, back to the path, or along the command.
 
@@ -363,7 +367,7 @@ class Planner:
             start: of the tick, with the twist as its command.
             commanded: whether that commands something.
             around: the obstacles near the arm.
-            ahead, target: see `step`.
+            ahead, target, news: see `step`.
         """
         joints: JointMotion | None = None
         goal, says = self._back.target if target is None else target, ''
@@ -374,8 +378,7 @@ class Planner:
         else:
             command, ahead, joints = self._way.aim(
                 start, goal, self.robot.full_twist(self._last.followed),
-                self._smoothing.delay, self._watch.everywhere,
-                free=target is None)
+                self._smoothing.delay, self._watch.everywhere, news, free=target is None)
             start, commanded = start._replace(command=command), bool(command.any())
             says = '; '.join(filter(None, (_BACK if target is None else '', self._way.lacks)))
         aside, turn = self._evade(start, around, by_joints=joints is not None)

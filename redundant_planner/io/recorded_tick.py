@@ -14,6 +14,7 @@ import numpy.typing as npt
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.robot.se3 import checked_pose, Pose
 from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.moving_target import Sighting
 
 Array = npt.NDArray[np.float64]
 
@@ -26,6 +27,9 @@ _WITH_ATTACHED = 10
 # those of one that goes to joint positions have these.
 _WITH_POSE, _WITH_JOINTS = 20, 40
 _POSE = 12
+# Rows of a tick before which targets came add this to their kind, and have these after the target,
+# each with the age of its stamp (NaN for none), and their count. Older rows have none.
+_WITH_NEWS = 5
 # Rows add this for each topic with obstacles and a checksum, which come last of all. Earlier rows
 # have none for the first topic.
 _WITH_TOPIC = 100
@@ -57,6 +61,7 @@ class RecordedTick(NamedTuple):
         target: that commands the arm in place of the twist; None for none.
         checked_messages: as `obstacle_messages`, of all topics with obstacles, each with the
             `checksum` of the latest one: a recorder may come later than the planner, or earlier.
+        news: see `Planner.step`.
     """
 
     stamp_ns: int
@@ -70,15 +75,20 @@ class RecordedTick(NamedTuple):
     q: Array
     target: Target | None = None
     checked_messages: tuple[tuple[int, int], ...] = ()
+    news: tuple[Sighting, ...] = ()
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
         kind, target = self.kind + _WITH_ATTACHED, np.empty(0)
         if isinstance(self.target, Pose):
-            kind += _WITH_POSE
-            target = np.concatenate((self.target.position, self.target.rotation.ravel()))
+            kind, target = kind + _WITH_POSE, _numbers(self.target)
         elif self.target is not None:
-            kind, target = kind + _WITH_JOINTS, self.target
+            kind, target = kind + _WITH_JOINTS, _numbers(self.target)
+        if self.news:
+            kind += _WITH_NEWS
+            target = np.concatenate((target, *(
+                (*_numbers(seen), np.nan if age is None else age) for seen, age in self.news),
+                (len(self.news),)))
         kind += _WITH_TOPIC * len(self.checked_messages)
         return array.array('d', np.concatenate((
             (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
@@ -93,7 +103,7 @@ class RecordedTick(NamedTuple):
             StateError: there are more or fewer numbers, the kind is none, or a number is
                 impossible.
         """
-        row, target, more = _parted(np.array(numbers, dtype=float).ravel(), n)
+        row, target, more, news = _parted(np.array(numbers, dtype=float).ravel(), n)
         if len(row) >= _HEAD:
             if row[3] >= _WITH_ATTACHED:
                 row[3] -= _WITH_ATTACHED
@@ -119,26 +129,69 @@ class RecordedTick(NamedTuple):
         return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
                    int(row[4]), int(row[5]), float(row[6]), int(row[7]),
                    row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:], target,
-                   tuple((int(count), int(check)) for count, check in more.reshape(-1, 2)))
+                   tuple((int(count), int(check)) for count, check in more.reshape(-1, 2)), news)
 
 
-def _parted(row: Array, n: int) -> tuple[Array, Target | None, Array]:
-    """Return a row without what only some have at their end, its target, and further topics."""
+def _numbers(target: Target) -> Array:
+    """Return a target as numbers."""
+    if isinstance(target, Pose):
+        return np.concatenate((target.position, target.rotation.ravel()))
+    return target
+
+
+def _target(numbers: Array) -> Pose:
+    """Return a pose of its numbers, which may be none."""
+    return checked_pose(Pose(numbers[:3], numbers[3:].reshape(3, 3)))
+
+
+def _news_parted(row: Array, n: int) -> tuple[Array, tuple[Sighting, ...]]:
+    """Return a row without the targets that came before the tick, and these."""
+    kind = row[3] - _WITH_NEWS
+    if len(row) <= _HEAD or kind % _WITH_ATTACHED not in list(TickKind):
+        return row, ()
+    width = 1 + (n if kind >= _WITH_ATTACHED + _WITH_JOINTS else _POSE)
+    count = row[-1]
+    if not (count >= 1.0 and count == round(count) and width * count < len(row) - _HEAD):
+        raise StateError(f'a recorded tick has {count:g} targets; it must be a whole number of '
+                         'those that the row has')
+    begin = len(row) - 1 - width * int(count)
+    found = tuple(Sighting(
+        item[:-1] if width == n + 1 and kind >= _WITH_ATTACHED + _WITH_JOINTS
+        else _target(item[:-1]), None if np.isnan(item[-1]) else float(item[-1]))
+        for item in row[begin:-1].reshape(-1, width))
+    if not np.isfinite(np.nan_to_num(row[begin:-1], nan=0.0, posinf=np.inf)).all():
+        raise StateError('a recorded tick has targets that are not finite')
+    row = row[:begin]
+    row[3] = kind
+    return row, found
+
+
+def _parted(
+    row: Array, n: int,
+) -> tuple[Array, Target | None, Array, tuple[Sighting, ...]]:
+    """Return a row without what only some have at their end, and that.
+
+    Returns:
+        The row, its target, further topics, and the targets that came before the tick.
+    """
     target: Target | None = None
+    news: tuple[Sighting, ...] = ()
     more = np.empty(0)
     if len(row) > _HEAD and _WITH_TOPIC <= row[3] < _WITH_TOPIC * (
             (len(row) - _HEAD) // 2):
         topics = int(row[3] // _WITH_TOPIC)
         row, more = row[:-2 * topics], row[-2 * topics:]
         row[3] -= topics * _WITH_TOPIC
+    if len(row) > _HEAD:
+        row, news = _news_parted(row, n)
     if len(row) >= _HEAD + n and row[3] >= _WITH_ATTACHED + _WITH_JOINTS:
         row, target = row[:-n], row[-n:]
         row[3] -= _WITH_JOINTS
     elif len(row) >= _HEAD + _POSE and row[3] >= _WITH_ATTACHED + _WITH_POSE:
         row, pose = row[:-_POSE], row[-_POSE:]
-        target = checked_pose(Pose(pose[:3], pose[3:].reshape(3, 3)))
+        target = _target(pose)
         row[3] -= _WITH_POSE
-    return row, target, more
+    return row, target, more, news
 
 
 def checksum(message: bytes) -> int:

@@ -15,7 +15,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.goal import checked_target
 from redundant_planner.io.cdr import byte_order, ENCAPSULATION, header_of
-from redundant_planner.io.joint_layout import joint_layout
+from redundant_planner.io.joint_layout import joint_layout, STAMP
 
 Array = npt.NDArray[np.float64]
 
@@ -48,8 +48,10 @@ def read_target(raw: bytes) -> tuple[float, str, Pose]:
     return stamp, frame, Pose(position, rotations(quaternion[None] / length)[0])
 
 
-def read_joint_target(raw: bytes, robot: Robot, rest: Array | None = None) -> Array:
-    """Return the joint positions (n,) that a serialised sensor_msgs/JointState asks for.
+def read_joint_target(
+    raw: bytes, robot: Robot, rest: Array | None = None,
+) -> tuple[float, Array]:
+    """Return stamp [s], 0 for none, and the positions (n,) that a serialised JointState asks for.
 
     Args:
         raw: the message.
@@ -77,4 +79,5 @@ def read_joint_target(raw: bytes, robot: Robot, rest: Array | None = None) -> Ar
     q = np.clip(np.zeros(robot.n) if rest is None else rest,
                 robot.position_min, robot.position_max)
     q[[robot.joint_names.index(name) for name in names]] = values
-    return np.asarray(checked_target(q, robot))
+    seconds, nanoseconds = struct.unpack_from(f'{layout.order}iI', raw, STAMP)
+    return seconds + 1e-9 * nanoseconds, np.asarray(checked_target(q, robot))

@@ -13,6 +13,7 @@ from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.io.obstacle_tracker import Transform
 from redundant_planner.io.preview_reader import read_preview
 from redundant_planner.io.target_reader import read_joint_target, read_target
@@ -22,6 +23,9 @@ Array = npt.NDArray[np.float64]
 
 # How far in the future a stamp may lie before it must come from another clock [s].
 _FUTURE = 0.1
+# Joints that a stream does not name stay where it has them, not where they are measured, while its
+# messages are no further apart [s].
+_STREAM = 0.5
 # How long before its beginning a preview may come [s].
 _ANNOUNCED = 3600.0
 
@@ -75,6 +79,8 @@ class CommandInput:
         """Let go of the target."""
         self._target: Target | None = None
         self._from_tip = False
+        self._target_came = -np.inf
+        self._news: list[Sighting] = []
 
     @property
     def has_target(self) -> bool:
@@ -95,6 +101,11 @@ class CommandInput:
         if isinstance(self._target, Pose) and self._from_tip:
             self._target, self._from_tip = se3.composed(tip, self._target), False
         return self._target
+
+    def take_news(self) -> tuple[Sighting, ...]:
+        """Return the targets that came since the last call."""
+        news, self._news = tuple(self._news), []
+        return news
 
     def forget_preview(self) -> None:
         """Drop the preview: its time means nothing any more."""
@@ -182,7 +193,7 @@ class CommandInput:
             self._warn(f'target_pose ignored: its stamp lies {ahead:.3f} s in the future; do '
                        'sender and planner use the same clock (use_sim_time)?')
             return
-        self._target, self._from_tip = pose, kind == 'tool'
+        self._take_target(pose, stamp, from_tip=kind == 'tool')
 
     def on_joint_target(self, raw: bytes, robot: Robot, posture: Array | None) -> None:
         """Take a serialised target of the joints; it holds until something else is commanded.
@@ -195,9 +206,22 @@ class CommandInput:
         try:
             if posture is None:
                 raise StateError('nothing was heard on joint_states yet')
-            self._target, self._from_tip = read_joint_target(raw, robot, posture), False
+            before = self._target
+            goes_on = self._clock() - self._target_came < _STREAM
+            rest = before if isinstance(before, np.ndarray) and goes_on else posture
+            stamp, q = read_joint_target(raw, robot, rest)
         except StateError as error:
             self._warn(f'target_joints ignored: {error}')
+            return
+        self._take_target(q, stamp)
+
+    def _take_target(self, target: Pose | Array, stamp: float, *, from_tip: bool = False) -> None:
+        """Take a target, and its stamp, 0 for none [s]."""
+        if isinstance(target, Pose) != isinstance(self._target, Pose) or from_tip:
+            self._news = []
+        self._target, self._from_tip, self._target_came = target, from_tip, self._clock()
+        if not from_tip:  # a displacement is no place that one could follow
+            self._news.append(Sighting(target, self._ros_time() - stamp if stamp else None))
 
     def _from_elsewhere(self, name: str, pose: Pose) -> Pose:
         """Return a pose given in another frame in the base's.

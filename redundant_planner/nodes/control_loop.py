@@ -21,6 +21,7 @@ from redundant_planner.core.safety.following import Following
 from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.obstacle_sources import ObstacleSources
@@ -293,17 +294,17 @@ class ControlLoop:
             twist = self._in_command_frame(self.command.twist(timeout), posture)
             ahead = self.command.ahead(timeout)
         self.state.trouble = ignore_command
-        gently = {'gently': True} if self.supervisor.tries and isinstance(
-            self.planner, Planner) else {}
+        news = self.command.take_news() if target is not None else ()
+        gently = self.supervisor.tries and isinstance(self.planner, Planner)
         if gently and kind is TickKind.GOING_ON:
             kind = TickKind.TRYING
         self.obstacles.tracker.expire(self.now)
         result = self.planner.step(
             posture, twist, self.obstacles.scene, self._period, ahead, target,
-            **(gently if kind is TickKind.TRYING else {}))
+            news=news, gently=kind is TickKind.TRYING)
         if not np.isfinite(result.dq).all():
             raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
-        self._send(result.dq, kind, twist, ahead, target)
+        self._send(result.dq, kind, twist, ahead, target, news)
         self._stop.moving(result.dq)
         if kind is TickKind.STARTING:
             self._say_what_touches(posture)
@@ -387,6 +388,7 @@ class ControlLoop:
     def _send(
         self, dq: Array, kind: TickKind, twist: Array = _NO_TWIST,
         ahead: TwistAhead | None = None, target: Target | None = None,
+        news: tuple[Sighting, ...] = (),
     ) -> None:
         """Publish a command (n,) at its moment, and the inputs that led to it."""
         posture = self._posture()
@@ -403,7 +405,8 @@ class ControlLoop:
             obstacles = tuple(zip(self.obstacles.read_counts, self.obstacles.last_read))
             self._publish_tick(RecordedTick(
                 stamp_ns, self.now, kind, obstacles[0][0], self.command.previews, elapsed,
-                self.attached.read_counts[0], twist, posture, target, obstacles).numbers())
+                self.attached.read_counts[0], twist, posture, target, obstacles,
+                news).numbers())
 
     def _read_and_prepare(self, moves: bool) -> bool:
         """Read messages on obstacles and attached, if that need not wait; prepare the next tick.

@@ -55,6 +55,8 @@ from redundant_planner.paper.method import PaperPlanner, planner_of
 
 # Joint states that a tick may find: the newest of several publishers, however often each speaks.
 _JOINT_STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Targets that a tick may find: a headset's of half a second.
+_TARGETS = QoSProfile(depth=50)
 # How often the node looks for other publishers on its topics [s].
 _LOOK_AROUND = 0.5
 # How long changed parameters wait for others, so that one message has them all [s].
@@ -162,10 +164,9 @@ class PlannerNode(EndableNode):
              loop.on_joint_states),
             (PolledSubscription(self, TwistStamped if stamped else Twist, 'cmd_vel'),
              loop.command.on_twist_stamped if stamped else loop.command.on_twist),
-            # Sent once and meant to be heard, unlike a stream of twists.
-            (PolledSubscription(self, PoseStamped, 'target_pose', QoSProfile(depth=10)),
-             loop.on_target),
-            (PolledSubscription(self, JointState, 'target_joints', QoSProfile(depth=10)),
+            # Sent once and meant to be heard, unlike a stream of twists; or in bursts.
+            (PolledSubscription(self, PoseStamped, 'target_pose', _TARGETS), loop.on_target),
+            (PolledSubscription(self, JointState, 'target_joints', _TARGETS),
              loop.on_joint_target)]
         self.create_subscription(
             MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)

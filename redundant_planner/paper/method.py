@@ -8,7 +8,7 @@ its exact gradient.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 import math
 
 import numpy as np
@@ -32,6 +32,7 @@ from redundant_planner.core.robot.se3 import integrate, Pose, pose_error
 from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.moving_target import Sighting
 
 Array = npt.NDArray[np.float64]
 
@@ -88,7 +89,7 @@ class PaperPlanner:
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
-        target: Target | None = None,
+        target: Target | None = None, *, news: Sequence[Sighting] = (), gently: bool = False,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`: q̇ = J⁺ẋ + k P∇H (Eq. 1).
 
@@ -96,6 +97,7 @@ class PaperPlanner:
             q, twist, scene, dt: as for `Planner.step`.
             ahead: not looked at.
             target: the paper has none; must be None.
+            news, gently: not looked at.
 
         Raises:
             StateError: as for `Planner.step`.

@@ -143,9 +143,9 @@ def _rows(
                 planner.reset()
                 q = tick.q
             book.expire(tick.time)
-            gently = {'gently': True} if tick.kind == TickKind.TRYING else {}
             dq = planner.step(
-                q, tick.twist, book.scene, dt, _ahead(inputs, tick), tick.target, **gently).dq
+                q, tick.twist, book.scene, dt, _ahead(inputs, tick), tick.target,
+                news=tick.news, gently=tick.kind == TickKind.TRYING).dq
             stop.moving(dq)
         positions[i], velocities[i] = q, dq
         q, previous = q + dt * dq, tick.time

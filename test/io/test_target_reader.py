@@ -73,13 +73,14 @@ def test_joints_come_in_any_order_and_those_not_named_stay():
     raw = joint_message(['panda_joint6', 'panda_joint2'], [2.0, 0.3])
     expected = PANDA_READY.copy()
     expected[[5, 1]] = 2.0, 0.3
-    np.testing.assert_array_equal(read_joint_target(raw, PANDA, PANDA_READY), expected)
+    _, found = read_joint_target(raw, PANDA, PANDA_READY)
+    np.testing.assert_array_equal(found, expected)
     every = joint_message(list(PANDA.joint_names)[::-1], PANDA_READY[::-1].tolist())
-    np.testing.assert_array_equal(read_joint_target(every, PANDA), PANDA_READY)
+    np.testing.assert_array_equal(read_joint_target(every, PANDA)[1], PANDA_READY)
     # A joint that is measured a little beyond its limit does not spoil the target of another.
     beyond = PANDA_READY.copy()
     beyond[0] = PANDA.position_max[0] + 1e-3
-    assert read_joint_target(raw, PANDA, beyond)[0] == PANDA.position_max[0]
+    assert read_joint_target(raw, PANDA, beyond)[1][0] == PANDA.position_max[0]
 
 
 @pytest.mark.parametrize(('names', 'positions', 'what'), [
@@ -97,7 +98,7 @@ def test_joints_that_there_are_not_or_cannot_go_there_are_refused(names, positio
 @given(st.binary(max_size=200))
 def test_any_bytes_are_no_target_of_the_joints_or_a_sound_one(raw):
     try:
-        q = read_joint_target(raw, PANDA, PANDA_READY)
+        _, q = read_joint_target(raw, PANDA, PANDA_READY)
     except StateError:
         return
     assert (q >= PANDA.position_min).all() and (q <= PANDA.position_max).all()

@@ -17,6 +17,7 @@ from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters, ros_name
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.parameter_files import RobotParameters, settings_of
@@ -207,12 +208,17 @@ def test_whatever_numbers_a_tick_has_it_is_sound_or_refused(numbers):
 @pytest.mark.parametrize('target', [
     None, np.arange(7.0), Pose(np.array([0.1, 0.2, 0.3]), np.diag([1.0, -1.0, -1.0]))])
 @pytest.mark.parametrize('topics', [(), ((3, 2**32 - 1),), ((1, 0), (0, 7), (9, 8))])
-def test_every_kind_of_target_survives_the_way_there_and_back(target, topics):
+@pytest.mark.parametrize('ages', [(), (None,), (0.2, None, 1e9)])
+def test_every_kind_of_target_survives_the_way_there_and_back(target, topics, ages):
+    news = tuple(Sighting(target, age) for age in ages) if target is not None else ()
     tick = RecordedTick(10, 1.0, TickKind.GOING_ON, 0, 0, np.nan, 0, np.zeros(6), np.ones(7),
-                        target, topics)
+                        target, topics, news)
     found = RecordedTick.of(tick.numbers(), 7)
     assert type(found.target) is type(target) and found.kind is TickKind.GOING_ON
     assert found.checked_messages == topics
+    assert [seen.age for seen in found.news] == [seen.age for seen in news]
+    for seen in found.news:
+        assert all(map(np.array_equal, seen.target, target))
     one, other = (given if isinstance(given, Pose) else (given,)
                   for given in (found.target, target))
     for part, wanted in zip(one, other, strict=True):

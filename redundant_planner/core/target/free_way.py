@@ -26,6 +26,7 @@ from redundant_planner.core.target.goal import Target
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.joint_way import JointWay
 from redundant_planner.core.target.path_search import PathSearch
+from redundant_planner.core.target.patience import Patience
 
 Array = npt.NDArray[np.float64]
 
@@ -55,9 +56,6 @@ _INSIDE = 2e-3
 _STRAYED, _PUSHED = 0.1, 0.02
 # A target that moves by more is another one [m, rad], and one this near is gone to in a line.
 _ANOTHER, _NEAR, _NEAR_ANGLE = 1e-3, 0.02, 0.1
-# An arm is stuck whose way has become shorter by less than this share of full speed for this
-# long [s].
-_LEAST_SPEED, _PATIENCE = 0.01, 0.5
 # Deadband of the feedback at the end [rad, m].
 _AT_REST = 1e-5
 # Largest speed of the feedback to the way [rad/s, m/s].
@@ -137,7 +135,7 @@ class FreeWay:
         self.tried_line = False
         self._aside: float | None = None  # for how long it has been aside [s]
         self._look_age = 0.0
-        self._left_then, self._stuck = 0.0, 0.0
+        self._patience = Patience()
 
     @property
     def seconds(self) -> float:
@@ -189,10 +187,7 @@ class FreeWay:
         if self._way is None:
             return
         self._way.went_on(followed, residual, dt)
-        if abs(self._left_then - self._way.left) > _LEAST_SPEED * _PATIENCE:
-            self._left_then, self._stuck = self._way.left, 0.0
-        else:
-            self._stuck += dt
+        self._patience.note(self._way.left, dt)
 
     @property
     def _goes_to_pose(self) -> bool:
@@ -226,7 +221,7 @@ class FreeWay:
             return stuck and not self.out_of_reach
         if self.stretch is Stretch.THINKING:
             return self._strayed(start) > _PUSHED
-        if self._strayed(start) > _STRAYED or (self._stuck >= _PATIENCE and not self._way.over):
+        if self._strayed(start) > _STRAYED or (self._patience.is_over and not self._way.over):
             return True
         self._look_age += start.dt
         if self._look_age < _LOOK_PERIOD or space() is self._space:
@@ -338,4 +333,4 @@ class FreeWay:
             points = resampled(points, self._scaling, spacing)
         self._way = JointWay(
             self._robot, self._limits, self._full_speed, JointCurve(points), velocity)
-        self._left_then, self._stuck, self._look_age = self._way.left, 0.0, 0.0
+        self._patience, self._look_age = Patience(), 0.0

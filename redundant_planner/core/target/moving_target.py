@@ -1,101 +1,149 @@
-"""A target that is sent again and again: where it is between two messages, and how fast it moves.
-
-A fading-memory filter (Brookner 1998): each new pose corrects the pose and the velocity that were
-predicted for its moment. Between messages the target moves on, so the arm does not stop at each.
-"""
+"""A target that is sent again and again: where it is in each tick, and how fast it moves."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.robot import se3
+from redundant_planner.core.obstacles.scene import rotations
+from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.smoother import Estimate, Sample, Smoother
 
 Array = npt.NDArray[np.float64]
 
-# Targets further apart in time are single ones [s].
-_LONGEST_GAP = 0.15
-# A target that is this far from where it was predicted is another one [m, rad].
-_LEAP = 0.1
-# Time in which the filter forgets [s]: short for fast targets, long for jitter.
-_MEMORY = 0.06
-# How fast the mean gap between two messages follows the last ones.
-_GAP_SHARE = 0.2
-# After this many mean gaps without a message, and this long, the last one is where the target is.
-_SILENCE, _LEAST_SILENCE = 3.0, 0.05
+# Targets further apart in time are single ones [s], and so are two that are further apart than so
+# many gates. Of a slow stream some may be missing: it has ended after this many of its gaps.
+_LONGEST_GAP, _LEAP, _MISSED = 0.5, 2.0, 2.5
+# One that is silent for longer than a clutch is pressed is a single target, where it ended [s].
+_CLUTCH = 3.0
+# A stamp is of a clock that was set if it is older than those before by more [s]. Two clocks run
+# apart by less than this [s/s].
+_SET, _DRIFT = 1.0, 1e-3
+# A sender whose stamps are all the same has none [s].
+_SAME = 1e-6
+# How far a pose may always be from where it is expected: position [m], quaternion.
+POSE_GATE = np.array((0.05, 0.05, 0.05, 0.075, 0.075, 0.075, 0.075))
+
+
+class Sighting(NamedTuple):
+    """A target that came since the last tick.
+
+    Attributes:
+        target: a pose, or joint positions (n,).
+        age: of its stamp [s], by whichever clocks: differences count. None without a stamp.
+    """
+
+    target: Pose | Array
+    age: float | None = None
 
 
 class MovingTarget:
-    """What is known of a target that is given tick by tick.
+    """What is known of a target, as numbers (k,), that is given tick by tick.
 
     Attributes:
-        moving: whether it is a stream of poses.
-        velocity: (6,) of the target, in base axes [m/s, rad/s].
+        moves: whether it is a stream, or was one until it fell silent some seconds ago.
+        estimate: of a stream, now.
     """
 
-    def __init__(self) -> None:
-        """Begin without a target."""
+    def __init__(self, lag: float, gate: Array) -> None:
+        """Begin without a target.
+
+        Args:
+            lag: behind a stream [s].
+            gate: (k,) how far a sample may always be from what is expected.
+        """
+        self._lag, self._gate = lag, gate
         self.reset()
 
     def reset(self) -> None:
         """Forget the target."""
-        self.moving = False
-        self.velocity: Array = np.zeros(6)
-        self._given: Pose | None = None
-        self._pose: Pose | None = None
-        self._since = math.inf  # the last message [s]
-        self._gap = 0.0
+        self.moves = False
+        self.estimate: Estimate | None = None
+        self._now = 0.0
+        self._heard = -math.inf  # when the last one came [s]
+        self._least_age = math.inf
+        self._stamp = math.nan  # of the last one, by our clock [s]
+        self._smoother: Smoother | None = None
+        self._first: Sample | None = None  # of what may become a stream
 
-    def at(self, given: Pose, dt: float) -> Pose:
-        """Return where the target is now.
+    def sense(
+        self, news: list[tuple[Array, float | None]], dt: float,
+        resumes: Callable[[Array], bool],
+    ) -> None:
+        """Take what has come since the last tick.
 
         Args:
-            given: the latest message's. Two equal ones in a row count as one: the target stands.
+            news: numbers (k,) and ages, see `Sighting`, the latest last.
             dt: time since the last call [s].
+            resumes: whether a stream goes on with these numbers after a silence.
         """
-        self._since += dt
-        if self.moving and self._since > max(_SILENCE * self._gap, _LEAST_SILENCE):
-            self._stand(given)
-        elif self._pose is not None and self.moving:
-            self._pose = se3.integrate(self._pose, self.velocity, dt, False)
-        if self._given is None or not _same(given, self._given):
-            self._take(given)
-        return self._pose or given
+        self._now += dt
+        self._least_age += _DRIFT * dt
+        for numbers, age in news:
+            self._take(Sample(self._time_of(age), numbers), resumes)
+        if self._now - self._heard > _CLUTCH:
+            self.moves, self._smoother = False, None
+        self.estimate = None if self._smoother is None else self._smoother.at(self._now)
 
-    def _take(self, given: Pose) -> None:
-        """Correct what was predicted by a new message."""
-        gap, before, self._given, self._since = self._since, self._given, given, 0.0
-        if gap > _LONGEST_GAP or before is None:
-            self._stand(given)
-            return
-        if not self.moving:
-            step = se3.pose_error(given, before, False)
-            if np.abs(step).max() > _LEAP:
-                self._stand(given)
-                return
-            self.moving, self._pose, self._gap = True, given, gap
-            self.velocity = np.zeros(6)
-            return
-        assert self._pose is not None
-        self._gap += _GAP_SHARE * (gap - self._gap)
-        wrong = se3.pose_error(given, self._pose, False)
-        if np.abs(wrong).max() > _LEAP:
-            self._stand(given)
-            return
-        # Critically damped: the weight of earlier messages fades.
-        fading = math.exp(-gap / _MEMORY)
-        self._pose = se3.displaced(self._pose, (1.0 - fading**2) * wrong, False)
-        self.velocity = self.velocity + (1.0 - fading) ** 2 / gap * wrong
+    def _take(self, sample: Sample, resumes: Callable[[Array], bool]) -> None:
+        gap = 0.0 if self._smoother is None else self._smoother.gap
+        silent = self._now - self._heard > max(_LONGEST_GAP, _MISSED * gap)
+        self._heard = self._now
+        first, self._first = self._first, None
+        if self._smoother is not None and not silent:
+            self._smoother.take(sample, self._now)
+        elif self.moves and resumes(sample.value):
+            self._begin(sample)
+        elif first is not None and not silent and self._goes_on(first, sample):
+            self._begin(first).take(sample, self._now)
+        else:
+            self.moves, self._smoother, self._first = False, None, sample
 
-    def _stand(self, given: Pose) -> None:
-        """Take a target for one that stands where it was given."""
-        self.moving, self._pose = False, given
-        self.velocity = np.zeros(6)
+    def _goes_on(self, first: Sample, second: Sample) -> bool:
+        """Return whether two targets begin a stream: different ones, but near each other."""
+        step = np.abs(second.value - first.value)
+        return bool(step.any() and (step <= _LEAP * self._gate).all())
+
+    def _begin(self, first: Sample) -> Smoother:
+        """Begin a stream."""
+        self.moves = True
+        self._smoother = Smoother(self._lag, self._gate, first, self._now)
+        return self._smoother
+
+    def _time_of(self, age: float | None) -> float:
+        """Return when a target was sent, by its stamp as far as that is good [s]."""
+        before, self._stamp = self._stamp, self._now - (math.nan if age is None else age)
+        if age is None or abs(self._stamp - before) < _SAME:
+            return self._now
+        if not abs(age - self._least_age) < _SET:
+            self._least_age = age
+        self._least_age = min(self._least_age, age)
+        return self._now - (age - self._least_age)
 
 
-def _same(a: Pose, b: Pose) -> bool:
-    return a is b or bool(
-        (a.position == b.position).all() and (a.rotation == b.rotation).all())
+def numbers_of(pose: Pose, near: Array | None) -> Array:
+    """Return position and quaternion (7,), of the two quaternions the one nearer to another."""
+    quaternion = quaternion_of(pose.rotation)
+    if near is not None and quaternion @ near[3:] < 0.0:
+        quaternion = -quaternion
+    return np.concatenate((pose.position, quaternion))
+
+
+def pose_of(numbers: Array) -> Pose:
+    """Return the pose of a position and a quaternion (7,) of any length."""
+    return Pose(numbers[:3].copy(), rotations(numbers[None, 3:])[0])
+
+
+def twist_of(numbers: Array, rates: Array) -> Array:
+    """Return the twist (6,) in base axes of a pose's numbers (7,) that change at rates (7,)."""
+    (x, y, z, w), (a, b, c, d) = numbers[3:], rates[3:]
+    # ω = 2 q̇ q⁻¹
+    twice = 2.0 / float(numbers[3:] @ numbers[3:])
+    return np.array((
+        *rates[:3], twice * (w * a - x * d + y * c - z * b),
+        twice * (w * b - y * d + z * a - x * c), twice * (w * c - z * d + x * b - y * a)))

@@ -7,6 +7,7 @@ arm is on its way is taken up from the present speed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
 from typing import NamedTuple
 
@@ -22,7 +23,15 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.target.goal_postures import off_pose
-from redundant_planner.core.target.moving_target import MovingTarget
+from redundant_planner.core.target.moving_target import (
+    MovingTarget,
+    numbers_of,
+    POSE_GATE,
+    pose_of,
+    Sighting,
+    twist_of,
+)
+from redundant_planner.core.target.patience import Patience
 from redundant_planner.core.target.profile import Profile, profile_of
 from redundant_planner.core.target.progress import Progress, REACHED, TargetState
 
@@ -44,13 +53,12 @@ _LOOKED_AT = 3
 _OUT_OF_REACH = 5e-3
 # A target that moves is followed while it is no further ahead than this [s at full speed].
 _CLOSE_BEHIND = 0.05
+# A stream that goes on after a silence is taken up in a line if it is no further away [m, rad].
+_NEAR, _NEAR_ANGLE = 0.3, 1.0
 # In what time the tip makes good what it is behind a target that moves [s].
 _CLOSING_TIME = 0.08
 # A way shorter than this is over [s at full speed].
 _OVER = 1e-7
-# An arm is blocked whose way has become shorter by less than this share of full speed for this
-# long [s].
-_LEAST_SPEED, _PATIENCE = 0.01, 0.5
 # With so little left an arm is not stuck [s at full speed].
 _AT_END = 1e-3
 # A squared length of 0 counts as this, for the sake of a division.
@@ -83,7 +91,7 @@ class StraightWay:
     """
 
     def __init__(
-        self, robot: Robot, limits: Limits, joints: PathJoints, full_speed: Array,
+        self, robot: Robot, limits: Limits, joints: PathJoints, full_speed: Array, lag: float,
     ) -> None:
         """Prepare for an arm.
 
@@ -92,16 +100,18 @@ class StraightWay:
             limits: of its joints.
             joints: how they are weighed and bounded.
             full_speed: highest linear and angular speed of the tip [m/s, rad/s].
+            lag: behind a stream of poses [s].
         """
         self._robot, self._limits, self._joints = robot, limits, joints
         self._full = np.repeat(full_speed, 3)
         self._controlled = robot.full_twist(np.ones(robot.m))
-        self._target = MovingTarget()
+        self._target = MovingTarget(lag, POSE_GATE)
         self.reset()
 
     def reset(self) -> None:
         """Forget the target."""
         self._target.reset()
+        self._given: Array | None = None  # the latest pose's numbers
         self.begin()
 
     def begin(self) -> None:
@@ -109,22 +119,36 @@ class StraightWay:
         self.left = self._seconds = 0.0
         self._looked: _Looked | None = None
         self._age = 0.0
-        self._left_then = math.inf  # when the arm last got on
-        self._stuck = 0.0  # for so long since then [s]
+        self._patience = Patience()
 
     @property
     def follows_stream(self) -> bool:
-        """Whether the target is a stream of poses."""
-        return self._target.moving
+        """Whether the target is a stream of poses, or was one until it fell silent."""
+        return self._target.moves
 
     @property
     def is_stuck(self) -> bool:
         """Whether the way has not become shorter for a while, before its end."""
-        return self._stuck >= _PATIENCE and self.left > _AT_END
+        return self._patience.is_over and self.left > _AT_END
 
-    def sense(self, target: Pose, dt: float) -> Pose:
-        """Return where a target is now, see `MovingTarget.at`."""
-        return self._target.at(target, dt)
+    def sense(
+        self, given: Pose, news: Sequence[Sighting], start: Start,
+    ) -> Pose:
+        """Return where the target is now.
+
+        Args:
+            given: the latest one.
+            news: those that came since the last tick.
+            start: of the tick.
+        """
+        numbers: list[tuple[Array, float | None]] = []
+        for target, age in news:
+            assert isinstance(target, Pose)
+            self._given = numbers_of(target, self._given)
+            numbers.append((self._given, age))
+        self._target.sense(numbers, start.dt, lambda n: self._is_near(pose_of(n), start.reference))
+        estimate = self._target.estimate
+        return given if estimate is None else pose_of(estimate.value)
 
     def command(
         self, start: Start, target: Pose, followed: Array, delay: float,
@@ -137,14 +161,19 @@ class StraightWay:
             followed: (6,) the twist of the last tick as far as it was followed, in command axes.
             delay: of the commands behind what is planned [s].
         """
-        if self._target.moving:
-            target = se3.integrate(target, self._target.velocity, delay, False)
+        estimate, rates = self._target.estimate, np.zeros(6)
+        if estimate is not None:
+            target = pose_of(estimate.after(delay).value)
+            value, velocity = estimate.after(delay + 0.5 * start.dt)[:2]
+            rates = twist_of(value, velocity)
         # Base axes: a line is straight there.
         away = self._part(se3.pose_error(target, start.reference, False), start.reference)
-        velocity = self._part(self._target.velocity, start.reference)
+        velocity = self._part(rates, start.reference)
         self.left = self._length(away)
-        self._note_how_it_gets_on(start.dt)
-        if self.left < _OVER and not self._target.moving:
+        self._patience.note(self.left, start.dt)
+        if self._target.moves and self.left < _CLOSE_BEHIND:
+            self._patience = Patience()
+        if self.left < _OVER and not rates.any():
             self._looked, self._seconds = None, 0.0
             return np.zeros(6), None
         self._age += start.dt
@@ -153,17 +182,15 @@ class StraightWay:
         profile = looked.profile
         f = profile.speed_at(min(self.left, profile.left[0]), start.dt)
         closing = f / max(self.left, _OVER)
-        if self._target.moving:
+        if self._target.moves:
             closing = min(closing, 1.0 / _CLOSING_TIME)
         wanted = velocity + closing * away
-        if self._target.moving:
-            wanted = now + (1.0 - math.exp(-4.0 * start.dt / _CLOSING_TIME)) * (wanted - now)
         twist = self._limited(wanted, now, profile.speeding_at(self.left), start.dt)
         # In command axes that turn with the tip: those of the middle of the tick.
         middle = se3.displaced(
             start.reference, np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
         twist = self._in_command_axes(twist, middle)
-        if self._target.moving:
+        if self._target.moves:
             return twist, None
         elapsed = float(np.interp(-self.left, -profile.left, looked.times))
         self._seconds = float(looked.times[-1]) - elapsed
@@ -178,17 +205,14 @@ class StraightWay:
         state = TargetState.MOVING
         if max(distance, angle) < REACHED:
             state = TargetState.REACHED
-        elif self._stuck >= _PATIENCE:
+        elif self._patience.is_over:
             state = TargetState.OUT_OF_REACH if miss else TargetState.BLOCKED
         return Progress(state, distance, angle, self._seconds, miss)
 
-    def _note_how_it_gets_on(self, dt: float) -> None:
-        """Note for how long the way has not become shorter."""
-        follows = self._target.moving and self.left < _CLOSE_BEHIND
-        if follows or abs(self._left_then - self.left) > _LEAST_SPEED * _PATIENCE:
-            self._left_then, self._stuck = self.left, 0.0
-        else:
-            self._stuck += dt
+    def _is_near(self, target: Pose, tip: Pose) -> bool:
+        """Return whether a stream that goes on there is taken up."""
+        away = self._part(se3.pose_error(target, tip, False), tip)
+        return bool(np.linalg.norm(away[:3]) < _NEAR and np.linalg.norm(away[3:]) < _NEAR_ANGLE)
 
     def _part(self, displacement: Array, tip: Pose) -> Array:
         """Return the part (6,) of a displacement or twist that is controlled, in base axes."""
@@ -214,7 +238,7 @@ class StraightWay:
         looked = self._looked
         if looked is not None and (self._age < _REFRESH or self.left < _SHORT):
             moved = self._length(se3.pose_error(target, looked.target, False))
-            if self._target.moving or moved <= _NEWS * self.left:
+            if self._target.moves or moved <= _NEWS * self.left:
                 return looked
         self._age = 0.0
         robot, reference = self._robot, start.reference

@@ -5,7 +5,7 @@ To joint positions it is always free.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,8 @@ from redundant_planner.core.safety.stages import Filtered
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.free_way import FreeWay, JointMotion, Stretch
 from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.joint_stream import JointStream
+from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.core.target.progress import Progress, REACHED, TargetState
 from redundant_planner.core.target.straight_way import StraightWay
 
@@ -59,22 +61,28 @@ class Way:
         self._joints = path_joints(constants, gains, limits)
         full_speed = np.maximum(
             (parameters.limits_linear_speed, parameters.limits_angular_speed), SLOWEST)
-        self._line = StraightWay(robot, limits, self._joints, full_speed)
+        self._line = StraightWay(
+            robot, limits, self._joints, full_speed, parameters.target_lag)
+        self._stream = JointStream(limits, robot.position_max, parameters.target_lag)
         self._free = FreeWay(
             robot, limits, constants.scaling, full_speed, parameters.feedback_gain,
             gives_way=parameters.target_gives_way)
         self._straight = parameters.target_path == 'straight'
         self._range = limits.positions[1], limits.positions[0]
         self._space: tuple[InflatedObstacles, FreeSpace] | None = None
+        self._given: Target | None = None
 
     def reset(self) -> None:
         """Forget the target."""
+        self._given = None
         self._line.reset()
+        self._stream.reset()
         self._free.reset()
 
     def aim(
         self, start: Start, target: Target, followed: Array, delay: float,
-        obstacles: Callable[[], InflatedObstacles], *, free: bool = False,
+        obstacles: Callable[[], InflatedObstacles], news: Sequence[Sighting] = (), *,
+        free: bool = False,
     ) -> Aim:
         """Return what to do in a tick.
 
@@ -85,15 +93,25 @@ class Way:
             delay: of the commands behind what is planned [s].
             obstacles: returns those now, for links with their margin; the same object while
                 nothing changes.
+            news: the targets that came since the last tick; where there are none, one came if
+                `target` is another than in the last tick.
             free: whether the way is free in any case.
         """
-        line, way = self._line, self._free
+        line, stream, way = self._line, self._stream, self._free
+        if not news and not _same(target, self._given):
+            news = (Sighting(target),)
+        self._given = target
         if isinstance(target, Pose):
-            target = line.sense(target, start.dt)
+            stream.reset()
+            target = line.sense(target, news, start)
         else:
             line.reset()
+            stream.sense(news, start)
             target = self._within_limits(target)
-        joints = None
+            if stream.moves:
+                way.reset()
+                return self._by(stream.motion(start, delay), start)
+        joints: JointMotion | None = None
         if isinstance(target, Pose) and not free and (self._straight or line.follows_stream):
             way.reset()
         else:
@@ -101,10 +119,13 @@ class Way:
                 start, target, lambda: self._space_among(obstacles()), stuck=line.is_stuck)
         if joints is not None:
             line.begin()
-            twist = start.arm.jacobian @ joints.velocity
-            return Aim(self._robot.full_twist(twist), None, joints)
+            return self._by(joints, start)
         assert isinstance(target, Pose)  # a free way leads the joints to the end
         return Aim(*line.command(start, target, followed, delay), None)
+
+    def _by(self, joints: JointMotion, start: Start) -> Aim:
+        """Return what to do in a tick that the joints' motion is given for."""
+        return Aim(self._robot.full_twist(start.arm.jacobian @ joints.velocity), None, joints)
 
     def went_on(self, result: Filtered, dt: float) -> None:
         """Note what a tick made of what the joints should do."""
@@ -126,6 +147,8 @@ class Way:
         free = self._free
         if found.state is TargetState.REACHED:
             return found
+        if self._stream.patience.is_over:
+            return found._replace(state=TargetState.BLOCKED)
         if free.out_of_reach:
             if found.state is not TargetState.MOVING:
                 return found._replace(state=TargetState.OUT_OF_REACH)
@@ -154,3 +177,12 @@ class Way:
             self._space = obstacles, FreeSpace(
                 self._robot, self._constants, self._joints, obstacles)
         return self._space[1]
+
+
+def _same(target: Target, known: Target | None) -> bool:
+    """Return whether a target is the one that is known already."""
+    if target is known:
+        return True
+    if known is None or isinstance(target, Pose) != isinstance(known, Pose):
+        return False
+    return all(map(np.array_equal, target, known))

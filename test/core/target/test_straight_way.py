@@ -98,8 +98,9 @@ def test_a_new_target_on_the_way_is_taken_up_without_a_stop():
     run.assert_within_limits()
 
 
+@pytest.mark.parametrize('lag', [0.0, 0.08])
 @pytest.mark.parametrize('rate', [30, 100, 250, 500])
-def test_a_stream_is_followed_smoothly_and_with_less_than_two_ticks_of_lag(rate):
+def test_a_stream_is_followed_smoothly_one_lag_behind(rate, lag):
     """With jitter of up to a tick, a tenth of its messages lost, and a turn on the way."""
     random, begin, speed = np.random.default_rng(rate), tip(PANDA, PANDA_READY), 0.08
 
@@ -114,20 +115,22 @@ def test_a_stream_is_followed_smoothly_and_with_less_than_two_ticks_of_lag(rate)
     kept[0] = True
     sent, arrived = sent[kept], arrived[kept]
     poses = [pose(t) for t in sent]
-    run = StraightRun()
+    run = StraightRun(target_lag=lag)
     run.to(lambda t: poses[max(int(np.searchsorted(arrived, t, side='right')) - 1, 0)], 3.5)
     run.assert_within_limits()
     assert {r.progress.state for r in run.results} <= {TargetState.MOVING, TargetState.REACHED}
     behind = [(pose(DT * i).position - p)[1] for i, p in enumerate(run.tips)]
-    assert np.mean(behind[-200:]) / speed < 2.0 * DT + delays.mean()
+    # So many lost ones count for the gap that is usual.
+    longest = max(lag, 1.4 * 2.0 / rate) if lag else 0.0
+    assert lag - DT < np.mean(behind[-200:]) / speed < longest + 2.0 * DT + delays.mean()
     # Stairs of 30 Hz have 5 rad/s² in the mean.
     acceleration = np.diff(run.positions, 2, axis=0)[200:] / DT**2
-    assert np.sqrt((acceleration**2).mean()) < 1.2
+    assert np.sqrt((acceleration**2).mean()) < (1.2 if lag else 2.5)
 
 
 def test_a_stream_that_ends_leaves_the_arm_at_its_last_pose():
     run, begin = StraightRun(), tip(PANDA, PANDA_READY)
-    run.to(lambda t: moved(begin, (0.0, 0.1 * min(t, 1.0), 0.0, 0.0, 0.0, 0.0)), 2.0)
+    run.to(lambda t: moved(begin, (0.0, 0.1 * min(t, 1.0), 0.0, 0.0, 0.0, 0.0)), 2.5)
     np.testing.assert_allclose(
         run.tips[-1], begin.position + (0.0, 0.1, 0.0), atol=2e-4)
     assert np.abs(run.results[-1].dq).max() < AT_REST
