@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from redundant_planner.core.robot.capsules import Capsule
     from redundant_planner.core.robot.se3 import Pose
     from redundant_planner.core.step_result import StepResult
+    from redundant_planner.core.target.moving_target import Sighting
     from redundant_planner.core.target.progress import Progress, TargetState
     from redundant_planner.io.robot_files import Robot
     from redundant_planner.simulation import Motion, simulate
@@ -54,6 +55,7 @@ __all__ = [
     'RobotError',
     'ScenarioError',
     'Scene',
+    'Sighting',
     'StateError',
     'StepResult',
     'TargetState',
@@ -71,6 +73,7 @@ _MODULES = {
     'core.robot.capsules': ('Capsule',),
     'core.robot.se3': ('Pose',),
     'core.step_result': ('StepResult',),
+    'core.target.moving_target': ('Sighting',),
     'core.target.progress': ('Progress', 'TargetState'),
     'io.robot_files': ('Robot',),
     'simulation': ('Motion', 'simulate'),

@@ -49,7 +49,7 @@ from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.free_way import JointMotion
 from redundant_planner.core.target.goal import checked_target, Target
-from redundant_planner.core.target.moving_target import Sighting
+from redundant_planner.core.target.moving_target import checked_news, Sighting
 from redundant_planner.core.target.way import Way
 from redundant_planner.core.tick import Memory, Setup, Wish, wish, World
 
@@ -295,8 +295,8 @@ class Planner:
                 faster than 0.05 rad/s or m/s.
 
         Raises:
-            StateError: `q`, `twist`, `ahead` or `target` does not fit, or `dt` is not within
-                1e-4 to 10 s.
+            StateError: `q`, `twist`, `ahead`, `target` or `news` does not fit, or `dt` is not
+                within 1e-4 to 10 s.
         """
         # Sense: where the arm is, and the obstacles near it.
         command, commanded = limited_twist(
@@ -304,6 +304,7 @@ class Planner:
             self._parameters.limits_angular_speed)
         _check_tick(dt)
         target = None if target is None else checked_target(target, self.robot)
+        news = checked_news(news, target, self.robot)
         arm = self.robot.kinematics_at(self._posture(q, dt))
         pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
         around = self._watch.look(scene, arm, last.dq, dt)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from bench import CREEPING
 from conftest import make_panda, PANDA_READY, PANDA_URDF, ROBOTS
 from diagnostic_msgs.msg import DiagnosticArray
@@ -13,6 +15,7 @@ import pytest
 from rcl_interfaces.msg import Log
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from topic_recorder import TopicRecorder
@@ -52,7 +55,7 @@ def pose(position, rotation, frame=''):
 @pytest.fixture
 def ros():
     with station() as (ros, processes):
-        ros.target = ros.node.create_publisher(PoseStamped, 'target_pose', 10)
+        ros.target = ros.node.create_publisher(PoseStamped, 'target_pose', 50)
         ros.progress, ros.said = [], []
         ros.node.create_subscription(
             DiagnosticArray, 'planner_node/target', lambda m: ros.progress.extend(m.status),
@@ -178,6 +181,41 @@ def test_to_joint_positions_and_its_bag_replays(ros, tmp_path):
     assert len(found) > 300 and found.max() < 1e-9
     assert replay_bag([str(tmp_path / 'bag'), '--out', str(tmp_path / 'other'),
                        '--method', 'variational']) == 0
+
+
+def test_a_stream_in_bursts_is_followed_without_a_thought_and_its_bag_replays(ros, tmp_path):
+    """A circle at 72 Hz that comes once in 0.1 s, by stamps of a clock of its own."""
+    begin, there = time.monotonic(), tip(ros)
+    sent: list[float] = []
+
+    def place(t):
+        return there.tip_position + 0.05 * np.array((0.0, np.sin(2.0 * t), 1.0 - np.cos(2.0 * t)))
+
+    def burst():
+        now = time.monotonic() - begin
+        if now < (sent[-1] if sent else 0.0) + 0.1:
+            return
+        for stamp in np.arange(len(sent), int(72.0 * now) + 1) / 72.0:
+            message = pose(place(stamp), there.tip_rotation)
+            message.header.stamp = Time(seconds=100.0 + stamp).to_msg()
+            ros.target.publish(message)
+            sent.append(stamp)
+
+    ros.wait_for(lambda: len(sent) > 400, 'the stream', meanwhile=burst)
+    ros.wait_for(lambda: np.linalg.norm(tip(ros).tip_position - place(sent[-1])) < 1e-3, 'its end')
+    ros.wait_for(ros.at_rest, 'rest')
+    assert {'moving'} <= {status.message for status in ros.progress} <= {'moving', 'reached'}
+    ros.recorder.write(tmp_path / 'bag')
+    with open_bag(tmp_path / 'bag') as opened:
+        inputs = read_inputs(opened, None, '', '')
+    assert sum(len(tick.news) for _, tick in inputs.ticks) == len(sent)
+    assert max(len(tick.news) for _, tick in inputs.ticks) > 4
+    found = differences(inputs, again(inputs, settings_of(PlannerParameters, inputs.values)))
+    assert len(found) > 1000 and found.max() < 1e-9
+    # On its circle, wherever along it.
+    tips = np.array([ROBOT.kinematics(tick.q).tip_position for _, tick in inputs.ticks[250:-500]])
+    radii = np.linalg.norm(tips - there.tip_position - (0.0, 0.0, 0.05), axis=1)
+    assert np.abs(np.median(radii) - 0.05) < 1e-3
 
 
 def test_a_zero_cmd_vel_lets_go_and_bad_targets_are_refused(ros):

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.errors import shown, StateError
 from redundant_planner.core.obstacles.scene import rotations
+from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.smoother import Estimate, Sample, Smoother
 
 Array = npt.NDArray[np.float64]
@@ -40,6 +43,27 @@ class Sighting(NamedTuple):
 
     target: Pose | Array
     age: float | None = None
+
+
+def checked_news(
+    news: Sequence[Sighting], target: Target | None, robot: Robot,
+) -> tuple[Sighting, ...]:
+    """Return the targets that came since the last tick, as arrays of numbers.
+
+    Raises:
+        StateError: one is no target, or of another kind than the one that holds, or an age is
+            not finite.
+    """
+    found = []
+    for given, age in news:
+        checked = checked_target(given, robot)
+        if isinstance(checked, Pose) != isinstance(target, Pose) or target is None:
+            raise StateError('news has a target of another kind than the one that holds: '
+                             f'{shown(given)}')
+        if age is not None and not abs(age) < math.inf:
+            raise StateError(f'news has a target of age {age}; it must be finite, or None')
+        found.append(Sighting(checked, age))
+    return tuple(found)
 
 
 class MovingTarget:

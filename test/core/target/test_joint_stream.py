@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from target_run import DT, EMPTY, moved, PANDA, Run, STILL, tip
 
+from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -93,6 +94,17 @@ def test_a_burst_of_stamped_poses_is_as_good_as_all_of_them_in_time():
         tips.append(tip(PANDA, q).position[1])
     speed = np.diff(tips)[600:] / DT
     assert np.abs(speed - 0.05).max() < 2e-3
+
+
+@pytest.mark.parametrize(('news', 'what'), [
+    ([Sighting(PANDA_READY)], 'news has a target of another kind'),
+    ([Sighting(tip(PANDA, PANDA_READY), np.nan)], 'news has a target of age nan'),
+    ([Sighting(tip(PANDA, PANDA_READY)._replace(position=np.full(3, np.inf)))],
+     'the position of the pose is')])
+def test_news_that_is_none_is_refused_by_name(news, what):
+    planner = Planner(PANDA, PlannerParameters())
+    with pytest.raises(StateError, match=what):
+        planner.step(PANDA_READY, STILL, EMPTY, DT, target=tip(PANDA, PANDA_READY), news=news)
 
 
 def test_a_clutch_moves_the_arm_in_a_line_back_to_its_stream():
