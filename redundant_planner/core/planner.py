@@ -285,8 +285,9 @@ class Planner:
                 (N + 1,) [s] that returns the mean twists (N, 6) from each to the next. Without
                 it the planner takes the present command as held.
             target: where to go, as fast as the limits allow: a pose of the tip, or joint positions
-                (n,) [rad, m]; None to follow the twist. With a target, `twist` and `ahead` do not
-                count.
+                (n,) [rad, m]; or a chunk of either, to follow in its time: the same object in each
+                tick while it holds. None to follow the twist. With a target, `twist` and `ahead`
+                do not count.
             gently: whether the arm is only to show that it follows: no joint is asked to be
                 faster than 0.05 rad/s or m/s.
 
@@ -410,6 +411,8 @@ class Planner:
             self._way.went_on(result, dt)
         else:
             followed, reached = self._followed(result, desired, start)
+            if self._way.is_along_chunk:
+                self._way.went_on(result, dt)
         leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
         if result.stage is Stage.SLIDING:  # as commanded, which no free way back overrules
             self._back.reset()

@@ -1,4 +1,4 @@
-"""The way to a target: free, in a line, or first the one and then the other.
+"""The way to a target: free, in a line, or first the one and then the other; or along a chunk.
 
 To joint positions it is always free.
 """
@@ -24,6 +24,8 @@ from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Filtered
+from redundant_planner.core.target.chunk import Chunk
+from redundant_planner.core.target.chunk_follower import ChunkFollower
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.free_way import FreeWay, JointMotion, Stretch
 from redundant_planner.core.target.goal import Target
@@ -63,6 +65,8 @@ class Way:
         self._free = FreeWay(
             robot, limits, constants.scaling, full_speed, parameters.feedback_gain,
             gives_way=parameters.target_gives_way)
+        self._chunks = ChunkFollower(
+            robot, limits, self._joints, full_speed, parameters.feedback_gain)
         self._straight = parameters.target_path == 'straight'
         self._range = limits.positions[1], limits.positions[0]
         self._space: tuple[InflatedObstacles, FreeSpace] | None = None
@@ -71,6 +75,7 @@ class Way:
         """Forget the target."""
         self._line.reset()
         self._free.reset()
+        self._chunks.reset()
 
     def aim(
         self, start: Start, target: Target, followed: Array, delay: float,
@@ -87,6 +92,9 @@ class Way:
                 nothing changes.
             free: whether the way is free in any case.
         """
+        if isinstance(target, Chunk):
+            return self._along(start, target, followed, delay)
+        self._chunks.reset()
         line, way = self._line, self._free
         if isinstance(target, Pose):
             target = line.sense(target, start.dt)
@@ -106,12 +114,29 @@ class Way:
         assert isinstance(target, Pose)  # a free way leads the joints to the end
         return Aim(*line.command(start, target, followed, delay), None)
 
+    def _along(self, start: Start, chunk: Chunk, followed: Array, delay: float) -> Aim:
+        """Return what to do in a tick along a chunk, see `aim`."""
+        if not self._chunks.is_active:
+            self.reset()
+        joints = self._chunks.joints(start, chunk, followed, delay)
+        if joints is None:
+            return Aim(*self._chunks.twist(start), None)
+        return Aim(self._robot.full_twist(start.arm.jacobian @ joints.velocity), None, joints)
+
+    @property
+    def is_along_chunk(self) -> bool:
+        """Whether a chunk is the target."""
+        return self._chunks.is_active
+
     def went_on(self, result: Filtered, dt: float) -> None:
-        """Note what a tick made of what the joints should do."""
-        self._free.went_on(result.scale, result.residual, dt)
+        """Note what a tick made of what the joints should do, or the tip along a chunk."""
+        way = self._chunks if self.is_along_chunk else self._free
+        way.went_on(result.scale, result.residual, dt)
 
     def progress(self, target: Target, arm: Kinematics) -> Progress:
         """Return how far the arm has come, from where it is."""
+        if isinstance(target, Chunk):
+            return self._chunks.progress(target, arm)
         tip = Pose(arm.tip_position, arm.tip_rotation)
         if isinstance(target, Pose):
             found = self._line.progress(target, tip)
