@@ -1,7 +1,7 @@
 """From where the arm is, and how it moves, to a curve that goes on: without a jump.
 
-The difference between the two fades away along the curve. It fades gently where the curve leaves
-time for that, and as fast as the limits allow where it ends before.
+The difference between the two fades away along the curve: gently, so that a policy that changes its
+mind does not shake the arm, but no longer than `_GENTLE_TIME`, unless the limits ask for that.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.safety.limits import Limits
-from redundant_planner.core.target.smooth_curve import Fading, Motion
+from redundant_planner.core.target.smooth_curve import Fading, Motion, SmoothCurve
 
 Array = npt.NDArray[np.float64]
 
@@ -25,11 +25,13 @@ _SHORTEST, _GENTLE_TIME = 0.04, 0.8
 _LONGER, _LONGEST = 1.2, 60.0
 # Moments of a handover that are looked at.
 _LOOKS = np.linspace(0.0, 1.0, 21)
+# A curve that ends before the difference is gone comes to rest for so long at its end [s].
+_BRAKING = 0.2
 
 
 def handover(
     difference: Motion, curve: Callable[[Array], Motion], limits: Limits, least: float,
-    room: float, joints: Array | None = None,
+    joints: Array | None = None,
 ) -> Fading:
     """Return the difference between the arm and a curve, as it fades away.
 
@@ -38,13 +40,12 @@ def handover(
         curve: the motion of the joints (N, n) at times (N,) from now, without the difference.
         limits: of the joints.
         least: how long it takes at least [s].
-        room: time until the curve ends [s]; a gentle handover does not take longer.
         joints: (n, c) what a change of the coordinates asks of the joints; None for the joints'
             own coordinates.
     """
     if all(not part.any() for part in difference):
         return Fading.of(difference, max(least, _SHORTEST))
-    long_enough = max(least, min(_GENTLE_TIME, room))
+    long_enough = max(least, _GENTLE_TIME)
     duration, fading = max(least, _SHORTEST), None
     while True:
         fading = Fading.of(difference, duration)
@@ -65,3 +66,16 @@ def handover(
                 np.abs(bend) <= 0.5 * limits.acceleration_max).all():
             return fading  # the curve itself asks for too much: its pace gives way
         duration *= _LONGER
+
+
+def rested(curve: SmoothCurve, begin: float, fading: Fading) -> SmoothCurve:
+    """Return a curve that comes to rest smoothly where a difference outlasts it.
+
+    Args:
+        curve: which.
+        begin: where on it the difference begins [s].
+        fading: the difference.
+    """
+    if begin + fading.duration <= curve.end:
+        return curve
+    return curve.coming_to_rest(min(_BRAKING, 0.5 * (curve.end - begin)))

@@ -9,7 +9,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.target.chunk import Chunk
-from redundant_planner.core.target.handover import handover
+from redundant_planner.core.target.handover import handover, rested
 from redundant_planner.core.target.pace_along import pace_along
 from redundant_planner.core.target.smooth_curve import Motion, SmoothCurve
 
@@ -48,10 +48,12 @@ class JointChunkWay:
             chunk.points[0], moving.position, robot.position_max) - chunk.points[0])
         self._curve = SmoothCurve(chunk.times, points, chunk.velocities)
         self.begin = min(begin, self._curve.end)
-        self._hand_over(moving, limits)
-        if self.begin + self._fading.duration > self._curve.end:  # straight to its end
-            self._curve = self._curve.at_end
-            self._hand_over(moving, limits)
+        now = self._curve.at(np.array([self.begin]))
+        self._fading = handover(
+            Motion(*(part - ours[0] for part, ours in zip(moving, now))),
+            lambda times: self._curve.at(self.begin + times), limits,
+            self._curve.begin - self.begin)
+        self._curve = rested(self._curve, self.begin, self._fading)
         self.end = max(self._curve.end, self.begin + self._fading.duration)
         count = int(np.clip((self.end - self.begin) / _SPACING, _FEWEST, _MOST))
         step = (self.end - self.begin) / count
@@ -59,14 +61,6 @@ class JointChunkWay:
         self.pace = pace_along(
             nodes, self.begin, step, _tip_shares(robot, nodes, step, full_speed),
             limits.velocity_max, _SHARE * limits.acceleration_max)
-
-    def _hand_over(self, moving: Motion, limits: Limits) -> None:
-        """Let the difference between the arm and the curve fade away."""
-        now = self._curve.at(np.array([self.begin]))
-        self._fading = handover(
-            Motion(*(part - ours[0] for part, ours in zip(moving, now))),
-            lambda times: self._curve.at(self.begin + times), limits,
-            self._curve.begin - self.begin, self._curve.end - self.begin)
 
     def at(self, s: Array) -> Array:
         """Return the postures (N, n) at times (N,) of the chunk [rad, m]."""

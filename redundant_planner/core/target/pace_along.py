@@ -19,6 +19,8 @@ from redundant_planner.core.target.highest_pace import fill_pace
 
 Array = npt.NDArray[np.float64]
 
+# A joint slower than this at the given pace does not bound df/dt [rad/s, m/s].
+_STILL = 1e-9
 # A pace that falls to nothing between two nodes is passed at this share [-].
 _SLOWEST = 1e-3
 
@@ -62,10 +64,18 @@ class Pace(NamedTuple):
         x = (1.0 - part) * self.squared[i] + part * self.squared[i + 1]
         lost = max(0.5 * (self.squared[i] - self.squared[i + 1]) / self.step, 0.0) * dt
         share = math.sqrt(x + 0.25 * lost**2) - 0.5 * lost
-        rising = float(((self.acceleration_max - np.sign(self.rates[i]) * self.bends[i] * x)
-                        / np.maximum(np.abs(self.rates[i]), 1e-9)).min())
-        share = min(share, before + max(rising, 0.0) * dt)
-        return max(min(share, (self.end - s) / dt), 0.0)
+        return max(min(share, self._reachable(i, before, dt), (self.end - s) / dt), 0.0)
+
+    def _reachable(self, i: int, before: float, dt: float) -> float:
+        """Return the highest f after another one within the limits at a node."""
+        rates, bends = np.maximum(np.abs(self.rates[i]), _STILL), self.bends[i]
+        bending = np.sign(self.rates[i]) * bends * before**2
+        change = float(((self.acceleration_max - bending) / rates).min()) * dt
+        if change >= 0.0:
+            return before + change
+        # Too fast for the bend: never slower than what it allows in the long run.
+        steady = float((self.acceleration_max / np.maximum(np.abs(bends), _STILL)).min())
+        return max(before + change, min(before, math.sqrt(steady)))
 
     def times(self) -> Array:
         """Return when the nodes are passed at the highest pace (N + 1,), from the first on [s]."""

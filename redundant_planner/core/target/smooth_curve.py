@@ -6,6 +6,7 @@ cubic pieces (Hermite), as a joint_trajectory_controller takes them.
 
 from __future__ import annotations
 
+import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,7 @@ class SmoothCurve:
             rates: (K, c) [per s]; None to take those of the smoothest curve.
         """
         self.begin, self.end = float(times[0]), float(times[-1])
+        self._braking = 0.0  # see `coming_to_rest`
         if rates is None:
             rates = spline_rates(times, points)
         span = np.diff(times)[:, None]
@@ -64,13 +66,29 @@ class SmoothCurve:
         self._starts = np.concatenate(((-np.inf, self.begin - _RUN_UP), times))
         self._powers = np.concatenate((before, first, pieces, after))
 
-    @property
-    def at_end(self) -> SmoothCurve:
-        """A curve that rests at this one's end."""
-        return SmoothCurve(np.array([self.end]), self._powers[-1:, 0])
+    def coming_to_rest(self, braking: float) -> SmoothCurve:
+        """Return this curve with a time that slows down to a stop at its end.
+
+        Args:
+            braking: how long before the end that begins, and by how much later it ends [s].
+        """
+        other = copy.copy(self)
+        other._braking, other.end = braking, self.end + braking
+        return other
 
     def at(self, times: Array) -> Motion:
         """Return the motions (N, c) at times (N,)."""
+        if not self._braking:
+            return self._at(times)
+        b = self._braking
+        x = np.clip(times - (self.end - 2.0 * b), 0.0, 2.0 * b)
+        speed, brakes = 1.0 - 0.5 * x / b, (x > 0.0) & (x < 2.0 * b)
+        found = self._at(np.minimum(times, self.end - 2.0 * b) + x - 0.25 * x**2 / b)
+        speed = speed[:, None]
+        return Motion(found.position, speed * found.rate,
+                      speed**2 * found.bend - np.where(brakes[:, None], 0.5 / b, 0.0) * found.rate)
+
+    def _at(self, times: Array) -> Motion:
         piece = np.searchsorted(self._starts, times, side='right') - 1
         x = np.where(piece > 0, times - self._starts[piece], 0.0)[:, None]
         a, b, c, d = self._powers[piece].transpose(1, 0, 2)

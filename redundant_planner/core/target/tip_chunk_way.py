@@ -20,7 +20,7 @@ from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.target.chunk import Chunk
-from redundant_planner.core.target.handover import handover
+from redundant_planner.core.target.handover import handover, rested
 from redundant_planner.core.target.pace_along import Pace, pace_along
 from redundant_planner.core.target.smooth_curve import Motion, SmoothCurve
 
@@ -71,7 +71,7 @@ class TipChunkWay:
         self.begin = min(begin, self._curve.end)
         now, at = self._curve_motion(np.array([self.begin])), self.pose_of_chunk(self.begin)
         apart = se3.pose_error(tip, at, False)
-        turn = se3.rotation_of(apart[3:])
+        turn = tip.rotation @ at.rotation.T
         difference = Motion(apart, *(
             part - np.concatenate((ours[0, :3], turn @ ours[0, 3:]))
             for part, ours in ((twist.rate, now.rate), (twist.bend, now.bend))))
@@ -86,13 +86,8 @@ class TipChunkWay:
             return Motion(*(part @ inverse.T for part in motion))
 
         self._fading = handover(
-            difference, joints_along, limits, self._curve.begin - self.begin,
-            self._curve.end - self.begin, inverse)
-        if self.begin + self._fading.duration > self._curve.end:  # straight to its end
-            self._curve = self._curve.at_end
-            apart = se3.pose_error(tip, self.pose_of_chunk(self.begin), False)
-            self._fading = handover(Motion(apart, twist.rate, twist.bend), joints_along, limits,
-                                    0.0, 0.0, inverse)
+            difference, joints_along, limits, self._curve.begin - self.begin, inverse)
+        self._curve = rested(self._curve, self.begin, self._fading)
         self.end = max(self._curve.end, self.begin + self._fading.duration)
         self._ahead = max(_AHEAD, _STOPS * float(
             (limits.velocity_max / limits.acceleration_max).max()))

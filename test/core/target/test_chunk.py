@@ -62,7 +62,7 @@ def test_the_curve_passes_the_points_on_time_and_without_a_jump(seed, count, wit
     largest = 1.0 + np.abs(at.bend).max()
     np.testing.assert_allclose(before.rate[:-1], at.rate[:-1], atol=1e-5 * largest)
     if not with_rates:
-        np.testing.assert_allclose(before.bend[1:-1], at.bend[1:-1], atol=1e-5)
+        np.testing.assert_allclose(before.bend[1:-1], at.bend[1:-1], atol=1e-5 * largest)
     ends = curve.at(np.array([times[0] - 10.0, times[-1] + 10.0]))
     assert not ends.rate.any()
     np.testing.assert_array_equal(ends.position[1], points[-1])
@@ -76,12 +76,21 @@ def test_rates_and_bends_are_the_derivatives(seed):
     fading = Fading.of(Motion(*random.normal(size=(3, 3))), float(random.uniform(0.5, 2.0)))
     h = 1e-5
     at = times[0] - 0.3 + (times[-1] - times[0]) * np.sort(random.uniform(size=20))
-    for way, moments in ((curve, at), (fading, 0.9 * fading.duration * random.uniform(size=20))):
+    rested = curve.coming_to_rest(0.2)
+    for way, moments in ((curve, at), (rested, at + 0.3),
+                         (fading, 0.9 * fading.duration * random.uniform(size=20))):
         less, here, more = (way.at(moments + shift) for shift in (-h, 0.0, h))
         np.testing.assert_allclose(
             here.rate, (more.position - less.position) / (2 * h), atol=1e-2, rtol=1e-3)
+        # Where two pieces meet the acceleration may jump.
+        smooth = np.abs(more.bend - less.bend).max(axis=1) < 0.1
+        assert smooth.sum() > 15
         np.testing.assert_allclose(
-            here.bend, (more.rate - less.rate) / (2 * h), atol=0.1, rtol=1e-2)
+            here.bend[smooth], ((more.rate - less.rate) / (2 * h))[smooth], atol=0.1, rtol=1e-2)
+    assert rested.end == curve.end + 0.2
+    stop = rested.at(np.array([rested.end - 1e-9, rested.end + 1.0]))
+    np.testing.assert_allclose(stop.position, curve.at(np.array([curve.end] * 2)).position)
+    np.testing.assert_allclose(stop.rate, 0.0, atol=1e-6)
 
 
 @given(SEEDS, st.floats(0.01, 5.0))
@@ -110,8 +119,8 @@ def test_a_motion_at_its_limits_keeps_its_own_pace():
     t = np.linspace(0.0, 1.0, 101)
     q = np.where(t < 0.5, 2.0 * t**2, 1.0 - 2.0 * (1.0 - t) ** 2)[:, None]
     pace = pace_along(q, 0.0, 0.01, np.ones(101), np.array([3.0]), np.array([4.001]))
-    assert pace.squared[:-1].min() > 0.98
-    assert DT * len(ticks(pace, 1.0)) < 1.0 + 2 * DT
+    assert pace.squared[:-10].min() > 0.98
+    assert DT * len(ticks(pace, 1.0)) < 1.03
 
 
 def test_a_motion_beyond_its_limits_is_slowed_as_little_as_they_ask_for():
@@ -136,7 +145,8 @@ def test_ticks_keep_the_limits_along_any_smooth_way(seed):
     s = np.concatenate(([0.0], np.cumsum(DT * shares)))
     velocity = np.diff(way(s), axis=0) / DT
     assert (np.abs(velocity) <= speed * 1.01).all()
-    # From rest: the pace's own limits, up to what a node of 10 ms does not show.
-    change = np.diff(np.vstack((np.zeros(7), velocity, np.zeros(7))), axis=0) / DT
-    assert (np.abs(change) <= acceleration * 1.25).all()
+    # Up to what nodes 10 ms apart do not show, the last of them most.
+    change = np.abs(np.diff(np.vstack((np.zeros(7), velocity, np.zeros(7))), axis=0)) / DT
+    assert (change[s < t[-2]] <= acceleration * 1.05).all()
+    assert (change <= acceleration * 1.5).all()
     assert shares.max() <= 1.0

@@ -101,7 +101,7 @@ def test_a_chunk_faster_than_the_limits_is_followed_as_fast_as_they_allow():
     # On its path, if not on time.
     along = joints_at(np.linspace(0.0, 0.2, 2001), 0.2)
     assert max(np.abs(along - q).max(axis=1).min() for q in run.positions) < 3e-3
-    assert 0.1 < progress.behind < 0.6
+    assert 0.05 < progress.behind < 0.6
 
 
 @pytest.mark.parametrize('of_poses', [False, True])
@@ -113,10 +113,10 @@ def test_chunks_that_disagree_take_over_without_a_jump(of_poses):
         t = np.arange(12) / 15.0
         way = 0.15 * (1.0 - np.cos(2.0 * np.pi * 0.1 * (t + now)))[:, None]
         if of_poses:
-            off = random.normal(0.0, 0.02, 6)
+            off = random.normal(0.0, 0.01, 6)
             chunk = Chunk(t, [moved(home, w * DISPLACED / 0.4 + off) for w in way])
         else:
-            chunk = Chunk(t, PANDA_READY + way * np.ones(7) + random.normal(0.0, 0.02, 7))
+            chunk = Chunk(t, PANDA_READY + way * np.ones(7) + random.normal(0.0, 0.01, 7))
         run.to(lambda _, chunk=chunk: chunk, 0.4)
         now += 0.4
     run.assert_within_limits()
@@ -178,13 +178,13 @@ def test_in_front_of_an_obstacle_it_waits_and_goes_on_when_that_is_gone(of_poses
     if of_poses:
         chunk, middle = Chunk(t, poses_at(t)), poses_at(1.2)[0].position
     else:
-        chunk, middle = Chunk(t, joints_at(t)), tip(PANDA, joints_at(1.2)[0]).position
+        chunk, middle = Chunk(t, joints_at(t)), tip(PANDA, THERE).position
     ball = Obstacle('ball', middle, np.full(3, 0.04))
     assert of_poses or way.to_obstacles((ball,), DT).distance < 0.0
     run, scene = Run(), Scene.of([ball])
     progress = run.to(lambda _: chunk, 4.0, scene)
     assert progress.state is TargetState.BLOCKED
-    assert "'ball'" in run.results[-1].reason or 'ball' in run.results[-1].reason
+    assert 'ball' in run.results[-1].reason
     assert progress.behind > 1.0 and progress.distance > 0.02
     motion = Motion.through(capsules_of(PANDA), np.array(run.positions))
     assert motion.to_obstacles((ball,), DT).distance > 0.005
