@@ -216,7 +216,7 @@ class ChunkFollower:
                 robot, limits, self._full_speed, chunk, begin,
                 Motion(start.arm.q, start.previous, bend))
         self._followed, self._s = chunk, self._way.begin
-        self._share = math.sqrt(self._way.pace.squared[0])
+        self._share = self._way.share
         self._age = self._stuck = 0.0
         self._s_then = self._s
 

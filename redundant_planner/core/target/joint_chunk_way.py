@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -26,6 +28,8 @@ class JointChunkWay:
 
     Attributes:
         begin, end: where on the chunk it begins and ends [s].
+        pace: how fast time may pass on it.
+        share: of the chunk's pace at which it begins.
     """
 
     def __init__(
@@ -48,10 +52,9 @@ class JointChunkWay:
             chunk.points[0], moving.position, robot.position_max) - chunk.points[0])
         self._curve = SmoothCurve(chunk.times, points, chunk.velocities)
         self.begin = min(begin, self._curve.end)
-        now = self._curve.at(np.array([self.begin]))
-        self._fading = handover(
-            Motion(*(part - ours[0] for part, ours in zip(moving, now))),
-            lambda times: self._curve.at(self.begin + times), limits,
+        now = Motion(*(part[0] for part in self._curve.at(np.array([self.begin]))))
+        self._fading, share = handover(
+            moving, now, lambda times: self._curve.at(self.begin + times), limits,
             self._curve.begin - self.begin)
         self._curve = rested(self._curve, self.begin, self._fading)
         self.end = max(self._curve.end, self.begin + self._fading.duration)
@@ -61,6 +64,7 @@ class JointChunkWay:
         self.pace = pace_along(
             nodes, self.begin, step, _tip_shares(robot, nodes, step, full_speed),
             limits.velocity_max, _SHARE * limits.acceleration_max)
+        self.share = min(share, math.sqrt(self.pace.squared[0]))
 
     def at(self, s: Array) -> Array:
         """Return the postures (N, n) at times (N,) of the chunk [rad, m]."""

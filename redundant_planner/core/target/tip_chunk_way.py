@@ -6,6 +6,8 @@ turns, as long as successive poses are less than half a turn apart.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -42,6 +44,7 @@ class TipChunkWay:
 
     Attributes:
         begin, end: where on the chunk it begins and ends [s].
+        share: of the chunk's pace at which it begins.
         pace: how fast time may pass, as far as the arm has looked ahead.
         preview: the twists of this part, in the command frame; times from the look on.
         times: (N + 1,) when its nodes are passed, from the look on [s].
@@ -72,9 +75,8 @@ class TipChunkWay:
         now, at = self._curve_motion(np.array([self.begin])), self.pose_of_chunk(self.begin)
         apart = se3.pose_error(tip, at, False)
         turn = tip.rotation @ at.rotation.T
-        difference = Motion(apart, *(
-            part - np.concatenate((ours[0, :3], turn @ ours[0, 3:]))
-            for part, ours in ((twist.rate, now.rate), (twist.bend, now.bend))))
+        ours = Motion(np.zeros(6), *(
+            np.concatenate((part[0, :3], turn @ part[0, 3:])) for part in (now.rate, now.bend)))
         controlled = robot.full_twist(np.ones(robot.m)) > 0.0
         jacobian = arm.tip_jacobian[controlled] if not robot.in_tool else arm.tip_jacobian
         inverse = np.zeros((robot.n, 6))
@@ -85,13 +87,15 @@ class TipChunkWay:
             motion = self._curve_motion(self.begin + times)
             return Motion(*(part @ inverse.T for part in motion))
 
-        self._fading = handover(
-            difference, joints_along, limits, self._curve.begin - self.begin, inverse)
+        self._fading, share = handover(
+            twist._replace(position=apart), ours, joints_along, limits,
+            self._curve.begin - self.begin, inverse)
         self._curve = rested(self._curve, self.begin, self._fading)
         self.end = max(self._curve.end, self.begin + self._fading.duration)
         self._ahead = max(_AHEAD, _STOPS * float(
             (limits.velocity_max / limits.acceleration_max).max()))
         self.look(self.begin, arm.q)
+        self.share = min(share, math.sqrt(self.pace.squared[0]))
 
     def look(self, s: float, q: Array) -> None:
         """Look ahead from a time of the chunk [s], and a posture (n,)."""
