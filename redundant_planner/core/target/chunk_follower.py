@@ -72,6 +72,7 @@ class ChunkFollower:
         self._before: tuple[Array, Array] | None = None  # q̇ and the tip's twist, a tick ago
         self._s = self._clock = 0.0  # where on the chunk the arm is, and should be [s]
         self._share = self._wanted = 0.0  # of the pace: that was followed, and is asked for
+        self._off = 0.0  # how far the arm was from where it should be [rad, m]
         self._age = 0.0  # of the look ahead [s]
         self._s_then, self._stuck = 0.0, 0.0  # where the arm last got on, and for how long not
 
@@ -103,7 +104,8 @@ class ChunkFollower:
             return None
         here, there = self._way.at(np.array((self._s, self._s + self._wanted * start.dt)))
         off = here - start.arm.q
-        if self._is_over and np.abs(off).max() < _AT_REST:
+        self._off = float(np.abs(off).max())
+        if self._is_over and self._off < _AT_REST:
             off = np.zeros_like(off)
         return JointMotion((there - here) / start.dt, np.clip(
             self._gain * off, -_FEEDBACK_SPEED, _FEEDBACK_SPEED))
@@ -115,8 +117,10 @@ class ChunkFollower:
         here, there = (Pose(*pose) for pose in zip(*way.along(
             np.array((self._s, self._s + self._wanted * start.dt)))))
         off = se3.pose_error(here, reference, False)
+        self._off = float(np.abs(self._robot.task_rows(
+            se3.pose_error(here, reference, self._robot.in_tool))).max())
         back = np.zeros(6)
-        if np.abs(off).max() > _AT_REST:
+        if self._off > _AT_REST:
             back = np.clip(off / _CLOSING_TIME, -_FEEDBACK_SPEED, _FEEDBACK_SPEED)
         twist = se3.pose_error(there, here, False) / start.dt + back
         # In command axes that turn with the tip: those of the middle of the tick.
@@ -124,8 +128,7 @@ class ChunkFollower:
             reference, np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
         if self._robot.in_tool:
             twist = se3.turned(twist, middle.rotation.T)
-        elapsed = float(np.interp(
-            self._s - way.pace.begin, way.pace.step * np.arange(len(way.times)), way.times))
+        elapsed = way.pace.passed(way.times, self._s)
         return twist * self._controlled, None if self._is_over else way.preview.ahead(elapsed)
 
     def went_on(self, followed: float, residual: float, dt: float) -> None:
@@ -174,10 +177,9 @@ class ChunkFollower:
     def _seconds(self) -> float:
         """Time until the end if nothing gets in the way [s]."""
         assert self._way is not None
-        pace = self._way.pace
-        times = pace.times()
-        passed = np.interp(self._s - pace.begin, pace.step * np.arange(len(times)), times)
-        return float(times[-1] - passed) + max(self._way.end - pace.end, 0.0)
+        way = self._way
+        return float(way.times[-1]) - way.pace.passed(way.times, self._s) + max(
+            way.end - way.pace.end, 0.0)
 
     def _choose(
         self, start: Start, chunk: Chunk, delay: float, bends: list[Array], twist: Array,
@@ -193,7 +195,7 @@ class ChunkFollower:
             if self._waiting <= 0.0 or self._is_over:
                 self._begin(start, chunk, -self._waiting, bends, twist)
                 self._clock = self._s
-        elif self._strayed(start) > _STRAYED:
+        elif self._off > _STRAYED:
             self._begin(start, chunk, self._s, bends, twist)
         elif isinstance(self._way, TipChunkWay):
             self._age += start.dt
@@ -218,17 +220,7 @@ class ChunkFollower:
         self._followed, self._s = chunk, self._way.begin
         self._share = self._way.share
         self._age = self._stuck = 0.0
-        self._s_then = self._s
-
-    def _strayed(self, start: Start) -> float:
-        """Return how far the arm is from where it should be [rad, m]."""
-        if isinstance(self._way, TipChunkWay):
-            position, rotation = self._way.along(np.array([self._s]))
-            apart = se3.pose_error(
-                Pose(position[0], rotation[0]), start.reference, self._robot.in_tool)
-            return float(np.abs(apart * self._controlled).max())
-        assert self._way is not None
-        return float(np.abs(self._way.at(np.array([self._s]))[0] - start.arm.q).max())
+        self._s_then, self._off = self._s, 0.0
 
     def _in_base_axes(self, twist: Array, tip: Pose) -> Array:
         return se3.turned(twist, tip.rotation) if self._robot.in_tool else twist

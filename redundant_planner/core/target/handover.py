@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 # difference's where the curve itself asks for too much.
 _GENTLE, _MOST, _FASTEST, _HALF = 0.04, 0.85, 0.95, 0.5
 # The shortest handover, and how long a gentle one is at most [s].
-_SHORTEST, _GENTLE_TIME = 0.04, 0.8
+_SHORTEST, _GENTLE_TIME = 0.04, 1.2
 # Durations are tried in turn, each so many times the one before, up to the longest [s].
 _LONGER, _LONGEST = 1.2, 60.0
 # Moments of a handover that are looked at.

@@ -29,6 +29,7 @@ class JointChunkWay:
     Attributes:
         begin, end: where on the chunk it begins and ends [s].
         pace: how fast time may pass on it.
+        times: (N + 1,) when the nodes of the pace are passed, from its beginning on [s].
         share: of the chunk's pace at which it begins.
     """
 
@@ -64,6 +65,7 @@ class JointChunkWay:
         self.pace = pace_along(
             nodes, self.begin, step, _tip_shares(robot, nodes, step, full_speed),
             limits.velocity_max, _SHARE * limits.acceleration_max)
+        self.times = self.pace.times()
         self.share = min(share, math.sqrt(self.pace.squared[0]))
 
     def at(self, s: Array) -> Array:

@@ -83,6 +83,10 @@ class Pace(NamedTuple):
         mean = np.maximum(0.5 * (f[1:] + f[:-1]), _SLOWEST)
         return np.concatenate((np.zeros(1), np.cumsum(self.step / mean)))
 
+    def passed(self, times: Array, s: float) -> float:
+        """Return how long after the first node a place s is passed [s], by `times`."""
+        return float(np.interp((s - self.begin) / self.step, np.arange(len(times)), times))
+
 
 def pace_along(
     nodes: Array, begin: float, step: float, fastest: Array, velocity_max: Array,

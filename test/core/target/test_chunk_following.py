@@ -165,8 +165,8 @@ def test_a_later_chunk_waits_for_its_time_while_the_present_one_goes_on():
 
 def test_a_chunk_that_began_earlier_is_joined_where_it_is_by_now():
     t = np.linspace(0.0, 2.0, 21)
-    run, chunk = Run(), Chunk(t, joints_at(t), late=0.8)
-    run.to(lambda _: chunk, 1.0)
+    run, chunk = Run(), Chunk(t, joints_at(t), late=0.4)
+    run.to(lambda _: chunk, 1.4)
     np.testing.assert_allclose(run.q, joints_at(1.8)[0], atol=5e-3)
     run.assert_within_limits()
 
