@@ -182,7 +182,7 @@ class Planner:
             room_for_rows(constants))))
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
-        self._way = Way(robot, parameters, limits, constants, gains)
+        self._way = Way(robot, parameters, limits, constants, gains, getattr(self, '_way', None))
         self._back = ComingBack(robot, constants)
         self._evasion = Evasion(robot, parameters)
         self._evasive = EvasivePlan(robot, constants, limits, gains)

@@ -176,7 +176,7 @@ def progress_status(
 
 def _target_text(robot: Robot, target: Target) -> str:
     if isinstance(target, Chunk):
-        return (f'{len(target.times)} points within {target.times[-1]:.3f} s to '
+        return (f'{len(target.times)} points within {target.times[-1]:.3f} s, the last one at '
                 f'{_target_text(robot, target.end)}')
     if isinstance(target, Pose):
         return ' '.join(f'{number:.6f}' for number in (

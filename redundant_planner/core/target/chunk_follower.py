@@ -76,6 +76,11 @@ class ChunkFollower:
         self._age = 0.0  # of the look ahead [s]
         self._s_then, self._stuck = 0.0, 0.0  # where the arm last got on, and for how long not
 
+    def go_on_from(self, other: ChunkFollower) -> None:
+        """Take over the chunk of a follower with other limits, where that has got to."""
+        self._given, self._followed = other._given, other._followed
+        self._waiting, self._s, self._clock = other._waiting, other._s, other._clock
+
     @property
     def is_active(self) -> bool:
         """Whether a chunk commands."""
@@ -190,6 +195,8 @@ class ChunkFollower:
             if self._waiting <= 0.0 or self._is_over:
                 self._begin(start, chunk, -self._waiting, bends, twist)
                 self._clock = self._s
+        elif self._way is None:
+            self._begin(start, self._followed or chunk, self._s, bends, twist)
         elif self._followed is not chunk:
             self._waiting -= start.dt
             if self._waiting <= 0.0 or self._is_over:

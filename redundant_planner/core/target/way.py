@@ -54,9 +54,14 @@ class Way:
 
     def __init__(
         self, robot: Robot, parameters: PlannerParameters, limits: Limits,
-        constants: RobotConstants, gains: Gains,
+        constants: RobotConstants, gains: Gains, before: Way | None = None,
     ) -> None:
-        """Prepare for an arm; the other arguments are made of the parameters."""
+        """Prepare for an arm; the other arguments are made of the parameters.
+
+        Args:
+            robot, parameters, limits, constants, gains: of the arm.
+            before: the way with other parameters; a chunk goes on where it has got to.
+        """
         self._robot, self._constants = robot, constants
         self._joints = path_joints(constants, gains, limits)
         full_speed = np.maximum(
@@ -67,6 +72,8 @@ class Way:
             gives_way=parameters.target_gives_way)
         self._chunks = ChunkFollower(
             robot, limits, self._joints, full_speed, parameters.feedback_gain)
+        if before is not None:
+            self._chunks.go_on_from(before._chunks)
         self._straight = parameters.target_path == 'straight'
         self._range = limits.positions[1], limits.positions[0]
         self._space: tuple[InflatedObstacles, FreeSpace] | None = None

@@ -192,6 +192,18 @@ def test_in_front_of_an_obstacle_it_waits_and_goes_on_when_that_is_gone(of_poses
     run.assert_within_limits()
 
 
+@pytest.mark.parametrize('of_poses', [False, True])
+def test_parameters_that_change_on_the_way_do_not_begin_it_anew(of_poses):
+    t = np.linspace(0.0, 2.0, 21)
+    run, chunk = Run(), Chunk(t, poses_at(t) if of_poses else joints_at(t))
+    run.to(lambda _: chunk, 0.8)
+    run.planner.parameters = PlannerParameters(limits_linear_speed=0.5)
+    run.planner.hold([Obstacle('cup', np.array([0.0, 0.0, 0.15]), np.full(3, 0.03))])
+    assert run.to(chunk, 3.0).state is TargetState.REACHED
+    assert run.seconds < 2.2
+    run.assert_within_limits()
+
+
 def test_a_reset_forgets_the_chunk():
     t = np.linspace(0.0, 2.0, 21)
     run, chunk = Run(), Chunk(t, joints_at(t))
