@@ -79,8 +79,12 @@ def attack(random: Random, folder: pathlib.Path, tally: Tally) -> None:
             book.hidden = payload.names
         return problems
 
+    def measured(raw: bytes) -> Array:
+        which = joints.read(raw)
+        return joints.posture[which]
+
     takers = {
-        'attached': attach, 'joint_states': joints.positions,
+        'attached': attach, 'joint_states': measured,
         'obstacles': lambda raw: book.update(raw, clock[0]), 'cmd_vel': command.on_twist,
         'stamped': command.on_twist_stamped, 'preview': command.on_preview,
         'target': command.on_target,
