@@ -39,7 +39,8 @@ _AT_REST, _OVER = 1e-5, 1e-9
 _FEEDBACK_SPEED, _CLOSING_TIME = 0.2, 0.1
 # How often the joints are looked at along a way of the tip [s].
 _REFRESH = 0.1
-# An arm is blocked that has got on by less than this share of the time for this long [s].
+# An arm is blocked for which time has passed at less than this share for so long, and until it has
+# passed for as long again: chunks that follow each other fast end nothing [s].
 _LEAST_SPEED, _PATIENCE = 0.02, 0.5
 
 
@@ -74,7 +75,7 @@ class ChunkFollower:
         self._share = self._wanted = 0.0  # of the pace: that was followed, and is asked for
         self._off = 0.0  # how far the arm was from where it should be [rad, m]
         self._age = 0.0  # of the look ahead [s]
-        self._s_then, self._stuck = 0.0, 0.0  # where the arm last got on, and for how long not
+        self._stuck = 0.0  # for how long time has stood, less by how long it has passed since [s]
 
     def go_on_from(self, other: ChunkFollower) -> None:
         """Take over the chunk of a follower with other limits, where that has got to."""
@@ -141,10 +142,8 @@ class ChunkFollower:
         assert self._way is not None
         self._share = min(max(followed * self._wanted + residual * self._share, 0.0), 1.0)
         self._s = min(self._s + self._share * dt, self._way.end)
-        if self._s - self._s_then > _LEAST_SPEED * _PATIENCE or self._is_over:
-            self._s_then, self._stuck = self._s, 0.0
-        else:
-            self._stuck += dt
+        stands = self._share < _LEAST_SPEED and not self._is_over
+        self._stuck = min(max(self._stuck + (dt if stands else -dt), 0.0), 2.0 * _PATIENCE)
 
     def progress(self, chunk: Chunk, arm: Kinematics) -> Progress:
         """Return how far the arm has come, from where it is."""
@@ -226,8 +225,7 @@ class ChunkFollower:
                 Motion(start.arm.q, start.previous, bend))
         self._followed, self._s = chunk, self._way.begin
         self._share = self._way.share
-        self._age = self._stuck = 0.0
-        self._s_then, self._off = self._s, 0.0
+        self._age = self._off = 0.0
 
     def _in_base_axes(self, twist: Array, tip: Pose) -> Array:
         return se3.turned(twist, tip.rotation) if self._robot.in_tool else twist

@@ -1,7 +1,8 @@
 """From where the arm is, and how it moves, to a curve that goes on: without a jump.
 
 The difference between the two fades away along the curve: gently, so that a policy that changes
-its mind does not shake the arm, but no longer than `_GENTLE_TIME`, unless the limits ask for that.
+its mind does not shake the arm. It takes longer than `_GENTLE_TIME`, or swings out further than
+`_SWING`, only where the limits ask for that.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ Array = npt.NDArray[np.float64]
 _GENTLE, _MOST, _FASTEST, _HALF = 0.04, 0.85, 0.95, 0.5
 # The shortest handover, and how long a gentle one is at most [s].
 _SHORTEST, _GENTLE_TIME = 0.04, 1.2
+# How far joints may swing out beyond the largest difference there is, for the sake of gentleness
+# [rad, m].
+_SWING = 0.05
 # Durations are tried in turn, each so many times the one before, up to the longest [s].
 _LONGER, _LONGEST = 1.2, 60.0
 # Moments of a handover that are looked at.
@@ -60,7 +64,7 @@ def handover(
     if not any(part.any() for part in whole):
         return Fading.of(whole, max(least, _SHORTEST)), 1.0
     velocity, acceleration = limits.velocity_max, limits.acceleration_max
-    long_enough = max(least, _GENTLE_TIME)
+    long_enough, before = max(least, _GENTLE_TIME), None
     for fading, alone in _tries(whole, least, joints):
         along = curve(fading.duration * _LOOKS)
         # As the difference begins is given; what it does later is not.
@@ -68,8 +72,12 @@ def handover(
             (np.abs(alone.rate + along.rate) <= _FASTEST * velocity).all()
             and (np.abs(alone.bend + along.bend)[1:] <= _MOST * acceleration).all())
         gentle = bool((np.abs(alone.bend[1:]) <= _GENTLE * acceleration).all())
+        away = np.abs(alone.position)
+        if before is not None and away.max() > away[0].max() + _SWING:
+            return before, 1.0
         if possible and (gentle or fading.duration >= long_enough):
             return fading, 1.0
+        before = fading if possible else None
         if fading.duration >= long_enough and _is_easy(alone, limits):
             break  # the curve itself asks for too much
     squared = float(now.rate @ now.rate)

@@ -136,7 +136,7 @@ def test_from_a_twist_and_from_elsewhere_it_gets_onto_the_chunk():
     chunk = Chunk(t, points)
     run.to(lambda _: chunk, 2.0)
     run.assert_within_limits()
-    then = DT * (len(run.positions) - begun)
+    then = DT * (len(run.positions) - begun) - run.results[-1].progress.behind
     np.testing.assert_allclose(
         run.q, PANDA_READY + 0.3 + 0.1 * np.sin(2.0 * then), atol=5e-3)
     # A twist takes over, and nothing of the chunk is left.
@@ -189,6 +189,36 @@ def test_in_front_of_an_obstacle_it_waits_and_goes_on_when_that_is_gone(of_poses
     motion = Motion.through(capsules_of(PANDA), np.array(run.positions))
     assert motion.to_obstacles((ball,), DT).distance > 0.005
     assert run.to(chunk, 4.0).state is TargetState.REACHED
+    run.assert_within_limits()
+
+
+def test_a_policy_that_leads_into_something_is_told_so():
+    """New chunks every 0.2 s begin nothing anew."""
+    t = np.linspace(0.0, 2.0, 21)
+    run, scene = Run(), Scene.of([Obstacle('ball', tip(PANDA, THERE).position, np.full(3, 0.04))])
+    for k in range(20):
+        chunk = Chunk(t, joints_at(t + 0.2 * k))
+        progress = run.to(lambda _, chunk=chunk: chunk, 0.2, scene)
+    assert progress.state is TargetState.BLOCKED and progress.beside > 0.02
+    assert 'ball' in run.results[-1].reason
+    motion = Motion.through(capsules_of(PANDA), np.array(run.positions))
+    assert motion.to_obstacles(scene.obstacles(), DT).distance > 0.005
+    run.assert_within_limits()
+
+
+@pytest.mark.parametrize('speed', [0.3, 1.5])
+def test_an_arm_in_full_motion_swings_out_no_further_than_it_must(speed):
+    """A chunk that stands takes over: v²/2a of the slowest to stop, and little more."""
+    run = Run()
+    t = np.linspace(0.0, 2.0, 41)
+    way = PANDA_READY + speed * (t[:, None] - 1.0) * np.array([1.0, 0, 0, 0, 0, 0, 0])
+    chunk = Chunk(t, way)
+    run.to(lambda _: chunk, 1.0)
+    begin, stands = run.q[0], Chunk([0.0, 2.0], np.tile(run.q, (2, 1)))
+    run.to(lambda _: stands, 2.0)
+    swing = max(q[0] for q in run.positions) - begin
+    assert swing < speed**2 / (2.0 * PANDA.acceleration_max[0]) * 2.5 + 0.06
+    np.testing.assert_allclose(run.q, stands.end, atol=1e-3)
     run.assert_within_limits()
 
 
