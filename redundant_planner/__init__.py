@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from redundant_planner.core.robot.capsules import Capsule
     from redundant_planner.core.robot.se3 import Pose
     from redundant_planner.core.step_result import StepResult
+    from redundant_planner.core.target.chunk import Chunk
     from redundant_planner.core.target.moving_target import Sighting
     from redundant_planner.core.target.progress import Progress, TargetState
     from redundant_planner.io.robot_files import Robot
@@ -41,6 +42,7 @@ __version__ = '0.2.0'
 
 __all__ = [
     'Capsule',
+    'Chunk',
     'Motion',
     'Obstacle',
     'ObstacleError',
@@ -73,6 +75,7 @@ _MODULES = {
     'core.robot.capsules': ('Capsule',),
     'core.robot.se3': ('Pose',),
     'core.step_result': ('StepResult',),
+    'core.target.chunk': ('Chunk',),
     'core.target.moving_target': ('Sighting',),
     'core.target.progress': ('Progress', 'TargetState'),
     'io.robot_files': ('Robot',),

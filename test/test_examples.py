@@ -87,6 +87,13 @@ def test_the_tool_goes_to_a_pose(tmp_path):
     assert seconds < 2.0 and numbers(r'off by ([\d.]+) mm', text)[0] < 0.3
 
 
+def test_the_chunks_of_a_policy_are_followed_without_a_jump(tmp_path):
+    text = run('08_policy_chunks.py', tmp_path)
+    assert max(numbers(r'moving, +([\d.]+) mrad', text)) < 30.0
+    assert max(numbers(r'([\d.]+) s behind', text)) < 0.1
+    assert numbers(r'largest acceleration: ([\d.]+)', text)[0] < 0.8
+
+
 @pytest.mark.parametrize('given', [False, True])
 def test_an_arm_of_your_own_plans_from_its_urdf(given, tmp_path):
     before = repository()

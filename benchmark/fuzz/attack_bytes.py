@@ -1,4 +1,4 @@
-"""Damaged messages: joint_states, obstacles, payload, previews and commands, then a tick.
+"""Damaged messages: joint_states, obstacles, payload, previews, commands and chunks, then a tick.
 
 Valid messages of many kinds are mutated (bits, bytes, words that become huge counts or special
 numbers, cuts, splices, another encoding) and read one after another by the same readers, as in a
@@ -8,16 +8,22 @@ node. What they let through goes into a planner in motion.
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
+import pathlib
 from typing import Any
 
 from geometry_msgs.msg import Point, PoseStamped, Transform, Twist, TwistStamped
+from nav_msgs.msg import Path
 import numpy as np
 import numpy.typing as npt
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA
-from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
+from trajectory_msgs.msg import (
+    JointTrajectory,
+    JointTrajectoryPoint,
+    MultiDOFJointTrajectory,
+    MultiDOFJointTrajectoryPoint,
+)
 from visualization_msgs.msg import Marker, MarkerArray
 
 from benchmark.fuzz.tally import Tally
@@ -50,7 +56,7 @@ def paper_arm() -> Robot:
     return load_robot(share_directory() / 'config' / 'robots' / 'paper_2p5r.yaml')
 
 
-def attack(random: Random, folder: Path, tally: Tally) -> None:
+def attack(random: Random, folder: pathlib.Path, tally: Tally) -> None:
     """Send one sequence of damaged messages to the readers of one node."""
     robot = paper_arm()
     sentences: list[str] = []
@@ -73,15 +79,22 @@ def attack(random: Random, folder: Path, tally: Tally) -> None:
             book.hidden = payload.names
         return problems
 
+    def measured(raw: bytes) -> Array:
+        which = joints.read(raw)
+        return joints.posture[which]
+
     takers = {
-        'attached': attach, 'joint_states': joints.positions,
+        'attached': attach, 'joint_states': measured,
         'obstacles': lambda raw: book.update(raw, clock[0]), 'cmd_vel': command.on_twist,
         'stamped': command.on_twist_stamped, 'preview': command.on_preview,
         'target': command.on_target,
-        'joint_target': lambda raw: command.on_joint_target(raw, robot, q)}
+        'joint_target': lambda raw: command.on_joint_target(raw, robot, q),
+        'path': command.on_path,
+        'trajectory': lambda raw: command.on_trajectory(raw, robot, q)}
     makers = {'attached': marker_array, 'joint_states': joint_state, 'obstacles': marker_array,
               'cmd_vel': twist, 'stamped': stamped_twist, 'preview': preview,
-              'target': target_pose, 'joint_target': target_joints}
+              'target': target_pose, 'joint_target': target_joints, 'path': target_path,
+              'trajectory': target_trajectory}
     earlier: list[bytes] = [b'']
     for number in range(MESSAGES):
         topic = str(random.choice(list(takers)))
@@ -228,6 +241,36 @@ def target_pose(random: Random, robot: Robot) -> PoseStamped:
         setattr(message.pose.orientation, axis, float(value))
     if random.random() < 0.1:
         _fill(random, message.pose.orientation, 1.0)
+    return message
+
+
+def target_path(random: Random, robot: Robot) -> Path:
+    """Return a path of poses near the arm, mostly with stamps that ascend."""
+    message = Path()
+    _head(random, message.header)
+    odd = random.random() < 0.3
+    for i in range(int(random.choice([0, 1, 2, 20]))):
+        pose = target_pose(random, robot)
+        pose.header.frame_id = pose.header.frame_id if odd else message.header.frame_id
+        if not odd:
+            pose.header.stamp.sec, pose.header.stamp.nanosec = 10**9 + 101, 40_000_000 * i
+        message.poses.append(pose)
+    return message
+
+
+def target_trajectory(random: Random, robot: Robot) -> JointTrajectory:
+    """Return a trajectory of some joints, mostly within their limits, with times that ascend."""
+    first = target_joints(random, robot)
+    message = JointTrajectory(header=first.header, joint_names=first.name)
+    odd = random.random() < 0.3
+    for i in range(int(random.choice([0, 1, 2, 20]))):
+        point = JointTrajectoryPoint(positions=[
+            position + _number(random, 0.01) for position in first.position])
+        if odd:
+            point.velocities = [_number(random)] * int(random.integers(9))
+            point.effort = [_number(random)] * int(random.integers(3))
+        point.time_from_start.nanosec = int(random.integers(2**32)) if odd else 40_000_000 * i
+        message.points.append(point)
     return message
 
 

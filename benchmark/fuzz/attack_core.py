@@ -27,6 +27,7 @@ from redundant_planner.core.parameters import METHODS, PATH_PRIORITIES, PlannerP
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.goal import Target
 
 Array = npt.NDArray[np.float64]
@@ -152,7 +153,7 @@ class _Drive:
             preview = tally.attempt(partial(_preview, random))
             self.ahead = None if preview is None else preview.between
         if random.random() < 0.05:
-            self.target = self._any_target(random)
+            self.target = tally.attempt(lambda: self._any_target(random))
         if random.random() < 0.05:
             def change() -> None:
                 planner.parameters = _parameters(random, robot, planner.parameters, 0.15)
@@ -167,9 +168,9 @@ class _Drive:
         return np.vstack((arm.segment_start, arm.segment_end, arm.tip_position))
 
     def _any_target(self, random: Random) -> Target | None:
-        """Return a target that the arm reaches, an absurd one, or none."""
+        """Return a target that the arm reaches, a chunk, an absurd one, or none."""
         q = random.uniform(self.low, self.high)
-        kind = random.integers(4)
+        kind = random.integers(5)
         if kind == 0:
             return None
         if kind == 1:
@@ -177,9 +178,26 @@ class _Drive:
         if kind == 2:
             arm = self.robot.kinematics(q)
             return Pose(arm.tip_position, arm.tip_rotation)
+        if kind == 3:
+            return self._any_chunk(random, q)
         if random.random() < 0.5:
             return np.where(random.random(len(q)) < 0.3, _extreme(random, len(q), 1.0), q)
         return Pose(_extreme(random, 3, 0.5), self.robot.kinematics(q).tip_rotation)
+
+    def _any_chunk(self, random: Random, end: Array) -> Chunk:
+        """Return a chunk towards a posture (n,), of the joints or the tip, of any pace."""
+        count = int(random.integers(1, 30))
+        times = np.cumsum(random.exponential(float(random.choice([1e-3, 0.03, 0.3])), count))
+        share = np.sort(random.random(count))[:, None]
+        points = self.judge.q + share * (end - self.judge.q)
+        points = np.clip(points + random.normal(0.0, 0.02, points.shape),
+                         self.robot.position_min, self.robot.position_max)
+        late = float(random.choice([0.0, 0.1, -0.1, 10.0, -10.0]))
+        if random.random() < 0.5:
+            rates = random.normal(0.0, 1.0, points.shape) if random.random() < 0.3 else None
+            return Chunk(times, points, rates, late)
+        arms = [self.robot.kinematics(q) for q in points]
+        return Chunk(times, [Pose(arm.tip_position, arm.tip_rotation) for arm in arms], late=late)
 
 
 @cache

@@ -13,9 +13,11 @@ from redundant_planner.analysis.robot_of_bag import robot_of_bag
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.chunk import Chunk
+from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.io.bag_reader import Bag, Event
 from redundant_planner.io.bag_storage import RecordingError
+from redundant_planner.io.chunk_reader import read_path, read_trajectory
 from redundant_planner.io.joint_chunk import GAP, JointChunk
 from redundant_planner.io.joint_chunks import ChosenJoints
 from redundant_planner.io.joint_turns import Seams
@@ -32,6 +34,7 @@ Array = npt.NDArray[np.float64]
 # Ticks per second, if the bag does not say, and at most.
 _RATE = 250
 _FASTEST_RATE = 1000
+_TARGETS = ('target_pose', 'target_joints', 'target_path', 'target_trajectory')
 # A stamp that is further from the time of its recording is of another clock [s].
 _SAME_CLOCK = 60.0
 
@@ -50,7 +53,7 @@ class Inputs:
         obstacles: times and serialised MarkerArrays, of each topic with obstacles.
         topics: names of these, without a slash before them.
         attached: times and serialised MarkerArrays.
-        targets: times and target_pose, in the base frame, or target_joints.
+        targets: times and what came on the topics of targets, in the base frame or of all joints.
         previews: arrival times, beginnings by their stamps, and what was announced.
         commands: joint_command, stamp [ns] → velocities (n,) [rad/s, m/s].
         raw: times and messages that go into the new bag as they are, by topic.
@@ -88,8 +91,7 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
     joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out, Seams.of(robot))
               for topic in ('joint_states', 'joint_command')}
     for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', *places,
-                          'attached', 'cmd_vel_preview', 'target_pose', 'target_joints',
-                          'robot_description'),
+                          'attached', 'cmd_vel_preview', *_TARGETS, 'robot_description'),
                          order=()):
         if isinstance(item, JointChunk):
             chosen = joints[item.topic].of(item)
@@ -109,9 +111,9 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
             twist = sound_twist(item, bag.left_out)
             if twist is not None:
                 inputs.twists.append((item.arrival, twist))
-        elif item.topic in ('target_pose', 'target_joints'):
+        elif item.topic in _TARGETS:
             try:
-                inputs.targets.append((item.arrival, _target(item, robot)))
+                inputs.targets.append((item.arrival, _target(item, robot, bag.origin_ns)))
             except StateError as error:
                 bag.left_out.add(item.topic, str(error))
             inputs.raw.append((item.topic, item.arrival, item.raw))
@@ -174,20 +176,33 @@ def _preview(item: Event) -> Preview | None:
         return None
 
 
-def _target(item: Event, robot: Robot) -> Target:
+def _target(item: Event, robot: Robot, origin_ns: int) -> Target:
     """Return a target in the base frame, or of all joints.
 
     Raises:
         StateError: it is none, or given in another frame, whose place is not in the bag, or does
             not name all joints.
     """
+    raw = bytes(item.raw)
     if item.topic == 'target_joints':
-        return read_joint_target(bytes(item.raw), robot)[1]
-    _, frame, pose = read_target(bytes(item.raw))
+        return read_joint_target(raw, robot)[1]
+    if item.topic == 'target_pose':
+        _, frame, pose = read_target(raw)
+        _check_frame(frame, robot)
+        return pose
+    read = read_path(raw) if item.topic == 'target_path' else read_trajectory(
+        raw, robot, np.clip(np.zeros(robot.n), robot.position_min, robot.position_max))
+    _check_frame(read.frame, robot)
+    begin = read.stamp - origin_ns * 1e-9 if read.stamp else item.arrival
+    late = item.arrival - begin if abs(item.arrival - begin) < _SAME_CLOCK else 0.0
+    return checked_target(Chunk(read.times, read.points, read.velocities, late), robot)
+
+
+def _check_frame(frame: str, robot: Robot) -> None:
+    """Raise StateError for another frame than the base's."""
     if frame not in ('', robot.base_frame):
         raise StateError(f"they are given in frame '{frame}'; without ~/ticks those in "
                          f"'{robot.base_frame}' are replayed")
-    return pose
 
 
 def _begin(item: Event, origin_ns: int) -> float:

@@ -183,7 +183,7 @@ class Planner:
             room_for_rows(constants))))
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
-        self._way = Way(robot, parameters, limits, constants, gains)
+        self._way = Way(robot, parameters, limits, constants, gains, getattr(self, '_way', None))
         self._back = ComingBack(robot, constants)
         self._evasion = Evasion(robot, parameters)
         self._evasive = EvasivePlan(robot, constants, limits, gains)
@@ -286,8 +286,9 @@ class Planner:
                 (N + 1,) [s] that returns the mean twists (N, 6) from each to the next. Without
                 it the planner takes the present command as held.
             target: where to go, as fast as the limits allow: a pose of the tip, or joint positions
-                (n,) [rad, m]; None to follow the twist. With a target, `twist` and `ahead` do not
-                count.
+                (n,) [rad, m]; or a chunk of either, to follow in its time: the same object in each
+                tick while it holds. None to follow the twist. With a target, `twist` and `ahead`
+                do not count.
             news: all targets that came since the last step, `target` the last of them, with the
                 ages of their stamps: of a stream whose messages come late or several at once.
                 Where it is empty, one came if `target` is another than in the last step.
@@ -414,6 +415,8 @@ class Planner:
             self._way.went_on(result, dt)
         else:
             followed, reached = self._followed(result, desired, start)
+            if self._way.is_along_chunk:
+                self._way.went_on(result, dt)
         leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
         if result.stage is Stage.SLIDING:  # as commanded, which no free way back overrules
             self._back.reset()

@@ -30,6 +30,8 @@ _EXPECTED = {
     'attached': ('visualization_msgs/msg/MarkerArray',), 'robot_description': (_STRING,),
     'configuration': (_STRING,), 'ticks': ('std_msgs/msg/Float64MultiArray',),
     'target_pose': ('geometry_msgs/msg/PoseStamped',), 'target_joints': (JOINT_STATE,),
+    'target_path': ('nav_msgs/msg/Path',),
+    'target_trajectory': ('trajectory_msgs/msg/JointTrajectory',),
     'diagnostics': ('diagnostic_msgs/msg/DiagnosticArray',)}
 # Topics whose messages come in chunks.
 _STREAMS = ('joint_states', 'joint_command')

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.robot.se3 import checked_pose, Pose
 from redundant_planner.core.target.goal import Target
 from redundant_planner.core.target.moving_target import Sighting
+from redundant_planner.io.recorded_target import parted, RecordedTarget
 
 Array = npt.NDArray[np.float64]
 
@@ -23,13 +23,6 @@ _BILLION = 10**9
 _HEAD, _TWIST = 8, 6
 # Rows with a count of messages on `attached` add this to their kind; those of 0.1.0 have none.
 _WITH_ATTACHED = 10
-# Rows of a tick that goes to a pose add this, and have position and rotation matrix at the end;
-# those of one that goes to joint positions have these.
-_WITH_POSE, _WITH_JOINTS = 20, 40
-_POSE = 12
-# Rows of a tick before which targets came add this to their kind, and have these after the target,
-# each with the age of its stamp (NaN for none), and their count. Older rows have none.
-_WITH_NEWS = 5
 # Rows add this for each topic with obstacles and a checksum, which come last of all. Earlier rows
 # have none for the first topic.
 _WITH_TOPIC = 100
@@ -58,9 +51,10 @@ class RecordedTick(NamedTuple):
         attached_messages: how many on `attached` had been taken in before the tick.
         twist: (6,) in the command frame [m/s, rad/s].
         q: (n,) measured posture [rad, m].
-        target: that commands the arm in place of the twist; None for none.
+        target: that commands the arm in place of the twist; None for none, or where `goes_on`.
         checked_messages: as `obstacle_messages`, of all topics with obstacles, each with the
             `checksum` of the latest one: a recorder may come later than the planner, or earlier.
+        goes_on: whether the latest chunk that was a target is the target still.
         news: see `Planner.step`.
     """
 
@@ -75,21 +69,13 @@ class RecordedTick(NamedTuple):
     q: Array
     target: Target | None = None
     checked_messages: tuple[tuple[int, int], ...] = ()
+    goes_on: bool = False
     news: tuple[Sighting, ...] = ()
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
-        kind, target = self.kind + _WITH_ATTACHED, np.empty(0)
-        if isinstance(self.target, Pose):
-            kind, target = kind + _WITH_POSE, _numbers(self.target)
-        elif self.target is not None:
-            kind, target = kind + _WITH_JOINTS, _numbers(self.target)
-        if self.news:
-            kind += _WITH_NEWS
-            target = np.concatenate((target, *(
-                (*_numbers(seen), np.nan if age is None else age) for seen, age in self.news),
-                (len(self.news),)))
-        kind += _WITH_TOPIC * len(self.checked_messages)
+        more, target = RecordedTarget(self.target, self.goes_on, self.news).numbers()
+        kind = self.kind + _WITH_ATTACHED + more + _WITH_TOPIC * len(self.checked_messages)
         return array.array('d', np.concatenate((
             (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
              self.preview_messages, self.preview_elapsed, self.attached_messages), self.twist,
@@ -103,7 +89,7 @@ class RecordedTick(NamedTuple):
             StateError: there are more or fewer numbers, the kind is none, or a number is
                 impossible.
         """
-        row, target, more, news = _parted(np.array(numbers, dtype=float).ravel(), n)
+        row, aimed, more = _parted(np.array(numbers, dtype=float).ravel(), n)
         if len(row) >= _HEAD:
             if row[3] >= _WITH_ATTACHED:
                 row[3] -= _WITH_ATTACHED
@@ -118,8 +104,8 @@ class RecordedTick(NamedTuple):
         # Of all numbers, `preview_elapsed` alone may be NaN.
         whole = np.concatenate((row[[0, 1, 4, 5, 7]], more))
         rest = np.concatenate((np.delete(row, 6), more))
-        if target is not None and not isinstance(target, Pose):
-            rest = np.concatenate((rest, target))
+        if isinstance(aimed.target, np.ndarray):
+            rest = np.concatenate((rest, aimed.target))
         if not (np.abs(rest) <= _LARGEST).all() or np.isinf(row[6]):
             raise StateError('a recorded tick has numbers that are not finite, or beyond '
                              f'{_LARGEST:g}')
@@ -128,70 +114,25 @@ class RecordedTick(NamedTuple):
                              'be whole numbers, 0 or more')
         return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
                    int(row[4]), int(row[5]), float(row[6]), int(row[7]),
-                   row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:], target,
-                   tuple((int(count), int(check)) for count, check in more.reshape(-1, 2)), news)
+                   row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:], aimed.target,
+                   tuple((int(count), int(check)) for count, check in more.reshape(-1, 2)),
+                   aimed.goes_on, aimed.news)
 
 
-def _numbers(target: Target) -> Array:
-    """Return a target as numbers."""
-    if isinstance(target, Pose):
-        return np.concatenate((target.position, target.rotation.ravel()))
-    return target
-
-
-def _target(numbers: Array) -> Pose:
-    """Return a pose of its numbers, which may be none."""
-    return checked_pose(Pose(numbers[:3], numbers[3:].reshape(3, 3)))
-
-
-def _news_parted(row: Array, n: int) -> tuple[Array, tuple[Sighting, ...]]:
-    """Return a row without the targets that came before the tick, and these."""
-    kind = row[3] - _WITH_NEWS
-    if len(row) <= _HEAD or kind % _WITH_ATTACHED not in list(TickKind):
-        return row, ()
-    width = 1 + (n if kind >= _WITH_ATTACHED + _WITH_JOINTS else _POSE)
-    count = row[-1]
-    if not (count >= 1.0 and count == round(count) and width * count < len(row) - _HEAD):
-        raise StateError(f'a recorded tick has {count:g} targets; it must be a whole number of '
-                         'those that the row has')
-    begin = len(row) - 1 - width * int(count)
-    found = tuple(Sighting(
-        item[:-1] if width == n + 1 and kind >= _WITH_ATTACHED + _WITH_JOINTS
-        else _target(item[:-1]), None if np.isnan(item[-1]) else float(item[-1]))
-        for item in row[begin:-1].reshape(-1, width))
-    if not np.isfinite(np.nan_to_num(row[begin:-1], nan=0.0, posinf=np.inf)).all():
-        raise StateError('a recorded tick has targets that are not finite')
-    row = row[:begin]
-    row[3] = kind
-    return row, found
-
-
-def _parted(
-    row: Array, n: int,
-) -> tuple[Array, Target | None, Array, tuple[Sighting, ...]]:
-    """Return a row without what only some have at their end, and that.
-
-    Returns:
-        The row, its target, further topics, and the targets that came before the tick.
-    """
-    target: Target | None = None
-    news: tuple[Sighting, ...] = ()
-    more = np.empty(0)
-    if len(row) > _HEAD and _WITH_TOPIC <= row[3] < _WITH_TOPIC * (
-            (len(row) - _HEAD) // 2):
+def _parted(row: Array, n: int) -> tuple[Array, RecordedTarget, Array]:
+    """Return a row without what only some have at their end, its target, and further topics."""
+    more, aimed = np.empty(0), RecordedTarget()
+    if len(row) <= _HEAD:
+        return row, aimed, more
+    if _WITH_TOPIC <= row[3] < _WITH_TOPIC * ((len(row) - _HEAD) // 2):
         topics = int(row[3] // _WITH_TOPIC)
         row, more = row[:-2 * topics], row[-2 * topics:]
         row[3] -= topics * _WITH_TOPIC
-    if len(row) > _HEAD:
-        row, news = _news_parted(row, n)
-    if len(row) >= _HEAD + n and row[3] >= _WITH_ATTACHED + _WITH_JOINTS:
-        row, target = row[:-n], row[-n:]
-        row[3] -= _WITH_JOINTS
-    elif len(row) >= _HEAD + _POSE and row[3] >= _WITH_ATTACHED + _WITH_POSE:
-        row, pose = row[:-_POSE], row[-_POSE:]
-        target = _target(pose)
-        row[3] -= _WITH_POSE
-    return row, target, more, news
+    if 0.0 <= row[3] < _WITH_TOPIC and row[3] == round(row[3]):
+        head, rest = np.split(row, [_HEAD - 1])
+        rest, head[3], aimed = parted(rest, int(row[3]), n)
+        row = np.concatenate((head, rest))
+    return row, aimed, more
 
 
 def checksum(message: bytes) -> int:

@@ -37,15 +37,29 @@ def read_target(raw: bytes) -> tuple[float, str, Pose]:
         numbers = struct.unpack_from(f'{order}7d', raw, ENCAPSULATION + -(-end // 8) * 8)
     except struct.error:
         raise StateError(f'the bytes end within the pose: there are {len(raw)}') from None
-    position, quaternion = np.array(numbers[:3]), np.array(numbers[3:])
+    return stamp, frame, pose_of_numbers(np.array(numbers), 'its')
+
+
+def pose_of_numbers(numbers: Array, whose: str) -> Pose:
+    """Return the pose of seven numbers: x y z [m], and a quaternion x y z w.
+
+    Args:
+        numbers: (7,).
+        whose: they are, as an error says it.
+
+    Raises:
+        StateError: a coordinate is too large or not finite, or the quaternion is not one of
+            length 1.
+    """
+    position, quaternion = numbers[:3], numbers[3:]
     if not (np.abs(position) <= _FARTHEST).all():
-        raise StateError(f'its position is {position.tolist()}; all three numbers must be finite, '
-                         f'up to {_FARTHEST:g} m')
-    length = math.hypot(*numbers[3:])
+        raise StateError(f'{whose} position is {position.tolist()}; all three numbers must be '
+                         f'finite, up to {_FARTHEST:g} m')
+    length = math.hypot(*quaternion.tolist())
     if not abs(length - 1.0) <= _NO_UNIT:
-        raise StateError(f'its orientation is the quaternion {quaternion.tolist()} of length '
+        raise StateError(f'{whose} orientation is the quaternion {quaternion.tolist()} of length '
                          f'{length:.3g}; it must be 1')
-    return stamp, frame, Pose(position, rotations(quaternion[None] / length)[0])
+    return Pose(position, rotations(quaternion[None] / length)[0])
 
 
 def read_joint_target(

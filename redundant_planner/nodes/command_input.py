@@ -12,8 +12,10 @@ from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.chunk import Chunk
+from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.moving_target import Sighting
+from redundant_planner.io.chunk_reader import read_path, read_trajectory, ReadChunk
 from redundant_planner.io.obstacle_tracker import Transform
 from redundant_planner.io.preview_reader import read_preview
 from redundant_planner.io.target_reader import read_joint_target, read_target
@@ -26,8 +28,8 @@ _FUTURE = 0.1
 # Joints that a stream does not name stay where it has them, not where they are measured, while its
 # messages are no further apart [s].
 _STREAM = 0.5
-# How long before its beginning a preview may come [s].
-_ANNOUNCED = 3600.0
+# How long before its beginning a preview may come, and a chunk [s].
+_ANNOUNCED, _CHUNK_ANNOUNCED = 3600.0, 60.0
 
 
 class CommandInput:
@@ -98,8 +100,11 @@ class CommandInput:
         Args:
             tip: where it should be now; a pose in the tip's frame is meant from there.
         """
-        if isinstance(self._target, Pose) and self._from_tip:
-            self._target, self._from_tip = se3.composed(tip, self._target), False
+        if self._from_tip and isinstance(self._target, Pose):
+            self._target = se3.composed(tip, self._target)
+        elif self._from_tip and isinstance(self._target, Chunk):
+            self._target = _placed(tip, self._target)
+        self._from_tip = False
         return self._target
 
     def take_news(self) -> tuple[Sighting, ...]:
@@ -223,6 +228,45 @@ class CommandInput:
         if not from_tip:  # a displacement is no place that one could follow
             self._news.append(Sighting(target, self._ros_time() - stamp if stamp else None))
 
+    def on_path(self, raw: bytes) -> None:
+        """Take a serialised chunk of poses; it holds until something else is commanded."""
+        try:
+            read = read_path(raw)
+            kind = self._frames.get(read.frame) if read.frame else 'base'
+            chunk = self._chunk(read)
+            if kind is None:
+                chunk = _placed(self._from_elsewhere(
+                    read.frame, Pose(np.zeros(3), np.eye(3))), chunk)
+        except StateError as error:
+            self._warn(f'target_path ignored: {error}')
+            return
+        self._target, self._from_tip, self._news = chunk, kind == 'tool', []
+
+    def on_trajectory(self, raw: bytes, robot: Robot, posture: Array | None) -> None:
+        """Take a serialised chunk of joint positions, see `on_joint_target`."""
+        try:
+            if posture is None:
+                raise StateError('nothing was heard on joint_states yet')
+            chunk = self._chunk(read_trajectory(raw, robot, posture))
+            self._target, self._from_tip, self._news = checked_target(chunk, robot), False, []
+        except StateError as error:
+            self._warn(f'target_trajectory ignored: {error}')
+
+    def _chunk(self, read: ReadChunk) -> Chunk:
+        """Return a chunk that has been read.
+
+        Raises:
+            StateError: it is none, is over, or begins too late.
+        """
+        late = self._ros_time() - read.stamp if read.stamp else 0.0
+        ago = late - float(read.times[-1])
+        if read.stamp and not (ago <= 0.0 and -late <= _CHUNK_ANNOUNCED):
+            when = (f'its last point was due {ago:.3f} s ago' if ago > 0.0 else
+                    f'it begins {-late:.3f} s from now, up to {_CHUNK_ANNOUNCED:g} s are allowed')
+            raise StateError(f'by its stamps {when}; do sender and planner use the same clock '
+                             '(use_sim_time)?')
+        return Chunk(read.times, read.points, read.velocities, late)
+
     def _from_elsewhere(self, name: str, pose: Pose) -> Pose:
         """Return a pose given in another frame in the base's.
 
@@ -255,3 +299,10 @@ class CommandInput:
             self._warn(f'cmd_vel_preview ignored: by its stamp it begins {-late:.3f} s from now '
                        f'and ends {preview.times[-1] - late:.3f} s from now; do sender and '
                        'planner use the same clock (use_sim_time)?')
+
+
+def _placed(frame: Pose, chunk: Chunk) -> Chunk:
+    """Return poses that are given relative to another one, in the frame of that one."""
+    assert isinstance(chunk.points, tuple), 'joint positions are relative to nothing'
+    return Chunk(chunk.times, tuple(se3.composed(frame, pose) for pose in chunk.points),
+                 late=chunk.late)

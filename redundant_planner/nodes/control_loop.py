@@ -20,6 +20,7 @@ from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.following import Following
 from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
+from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.goal import Target
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.io.joint_turns import Seams
@@ -116,6 +117,7 @@ class ControlLoop:
         self._wished_at = -np.inf  # when somebody commanded the arm last
         self._stop = SmoothStop(robot.acceleration_max, robot.jerk_max, self._period)
         self._last_command: Array | None = None  # velocities; None while the arm rests
+        self._chunk: Chunk | None = None  # the latest one that is on ~/ticks
         self._is_sent = False  # whether this tick's command is out
         self._no_time = ''  # why the loop's clock stands still
 
@@ -155,6 +157,16 @@ class ControlLoop:
         """Take a serialised target_joints."""
         if self._goes_to_targets('target_joints'):
             self.command.on_joint_target(raw, self._robot, self.supervisor.posture)
+
+    def on_path(self, raw: bytes) -> None:
+        """Take a serialised target_path."""
+        if self._goes_to_targets('target_path'):
+            self.command.on_path(raw)
+
+    def on_trajectory(self, raw: bytes) -> None:
+        """Take a serialised target_trajectory."""
+        if self._goes_to_targets('target_trajectory'):
+            self.command.on_trajectory(raw, self._robot, self.supervisor.posture)
 
     def _goes_to_targets(self, topic: str) -> bool:
         """Return whether the method can; if not, say so."""
@@ -403,10 +415,14 @@ class ControlLoop:
         if self._publish_tick is not None:
             elapsed = self.command.preview_elapsed() if ahead is not None else np.nan
             obstacles = tuple(zip(self.obstacles.read_counts, self.obstacles.last_read))
+            # A chunk is recorded once, and not in each tick.
+            goes_on = isinstance(target, Chunk) and target is self._chunk
+            if isinstance(target, Chunk):
+                self._chunk, target = target, None if goes_on else target
             self._publish_tick(RecordedTick(
                 stamp_ns, self.now, kind, obstacles[0][0], self.command.previews, elapsed,
                 self.attached.read_counts[0], twist, posture, target, obstacles,
-                news).numbers())
+                goes_on, news).numbers())
 
     def _read_and_prepare(self, moves: bool) -> bool:
         """Read messages on obstacles and attached, if that need not wait; prepare the next tick.

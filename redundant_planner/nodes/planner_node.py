@@ -9,13 +9,14 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import MultiDOFJointTrajectory
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.parameters import PlannerParameters
@@ -167,7 +168,10 @@ class PlannerNode(EndableNode):
             # Sent once and meant to be heard, unlike a stream of twists; or in bursts.
             (PolledSubscription(self, PoseStamped, 'target_pose', _TARGETS), loop.on_target),
             (PolledSubscription(self, JointState, 'target_joints', _TARGETS),
-             loop.on_joint_target)]
+             loop.on_joint_target),
+            (PolledSubscription(self, Path, 'target_path', QoSProfile(depth=10)), loop.on_path),
+            (PolledSubscription(self, JointTrajectory, 'target_trajectory', QoSProfile(depth=10)),
+             loop.on_trajectory)]
         self.create_subscription(
             MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)
         for i, topic in enumerate(self._settings.node.obstacle_topics):

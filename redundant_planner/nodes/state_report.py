@@ -14,18 +14,21 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import Nearest, StepResult
+from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.goal import Target
 from redundant_planner.core.target.progress import TargetState
 
 Array = npt.NDArray[np.float64]
 
 # What a target is called on ~/target: of the tip place and quaternion, x y z and x y z w, in the
-# base frame; of the joints name=position for each.
+# base frame; of the joints name=position for each; of a chunk how much it has, and its end.
 TARGET = 'target'
 # What ~/target says of an arm that does not do what it is told.
 DOES_NOT_FOLLOW = 'does not follow'
 _LEFT = ('distance [m]', 'angle [rad]', 'expected time [s]', 'ends off by [m, rad]',
          'farthest joint [rad, m]')
+# What ~/target says besides while the arm follows a chunk.
+_ALONG = ('behind [s]', 'beside the chunk [m, rad]')
 # Tick times that are kept until the next report.
 _TICKS = 5000
 
@@ -161,8 +164,10 @@ def progress_status(
     status.message = progress.state.value
     left = (f'{progress.distance:.6f}', f'{progress.angle:.6f}', f'{progress.seconds:.3f}',
             f'{progress.miss:.4f}', f'{progress.joint:.6f}')
+    along = (f'{progress.behind:.3f}', f'{progress.beside:.6f}') if isinstance(
+        target, Chunk) else ()
     status.values = [KeyValue(key=key, value=value) for key, value in {
-        **dict(zip(_LEFT, left)),
+        **dict(zip(_LEFT, left)), **dict(zip(_ALONG, along)),
         'limited by': result.reason,
         TARGET: _target_text(robot, target),
     }.items()]
@@ -170,6 +175,9 @@ def progress_status(
 
 
 def _target_text(robot: Robot, target: Target) -> str:
+    if isinstance(target, Chunk):
+        return (f'{len(target.times)} points within {target.times[-1]:.3f} s, the last one at '
+                f'{_target_text(robot, target.end)}')
     if isinstance(target, Pose):
         return ' '.join(f'{number:.6f}' for number in (
             *target.position, *quaternion_of(target.rotation)))

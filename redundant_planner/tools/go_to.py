@@ -30,7 +30,7 @@ from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.core.target.goal import checked_target, Target
+from redundant_planner.core.target.goal import checked_goal, Goal
 from redundant_planner.core.target.progress import TargetState
 from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.printable import printable
@@ -85,7 +85,7 @@ class _Client:
         self._executor = best_executor(self.node.context)
         self._executor.add_node(self.node)
         self._planner = planner
-        self._sent: Target | None = None
+        self._sent: Goal | None = None
         self._names: tuple[str, ...] = ()
 
     def _on_configuration(self, message: String) -> None:
@@ -148,7 +148,7 @@ class _Client:
                       lambda: f'joint_states of {known(reader.missing)}')
         return robot, reader.posture
 
-    def send(self, target: Target, robot: Robot) -> None:
+    def send(self, target: Goal, robot: Robot) -> None:
         """Publish a target."""
         self._sent, self._names = target, robot.joint_names
         if isinstance(target, Pose):
@@ -165,7 +165,7 @@ class _Client:
         turn.x, turn.y, turn.z, turn.w = quaternion_of(pose.rotation).tolist()
         self.target.publish(message)
 
-    def is_of(self, status: DiagnosticStatus, target: Target) -> bool:
+    def is_of(self, status: DiagnosticStatus, target: Goal) -> bool:
         """Return whether a status is of a target."""
         words = _values(status).get(TARGET, '').split()
         if not isinstance(target, Pose):
@@ -264,10 +264,10 @@ def joint_target_of(robot: Robot, q: Array, entries: list[str], relative: bool) 
         named.add(name)
         j = robot.joint_names.index(name)
         target[j] = value + (q[j] if relative else 0.0)
-    return np.asarray(checked_target(target, robot))
+    return np.asarray(checked_goal(target, robot))
 
 
-def follow(client: _Client, target: Target, console: Console) -> str:
+def follow(client: _Client, target: Goal, console: Console) -> str:
     """Show how far the arm has come until it is there or stays blocked; return the last state.
 
     Raises:
@@ -316,7 +316,7 @@ def _left(status: DiagnosticStatus | None) -> float:
     return sum(float(values.get(key, 0.0)) for key in _LEFT)
 
 
-def _shown(values: dict[str, str], target: Target) -> str:
+def _shown(values: dict[str, str], target: Goal) -> str:
     """Return what is left of a way for a person."""
     distance, angle, joint = (float(values[key]) for key in _LEFT)
     if isinstance(target, Pose):
@@ -324,7 +324,7 @@ def _shown(values: dict[str, str], target: Target) -> str:
     return f'farthest joint {joint:.3f} rad or m'
 
 
-def _target_of(options: argparse.Namespace, robot: Robot, q: Array) -> Target:
+def _target_of(options: argparse.Namespace, robot: Robot, q: Array) -> Goal:
     if options.joints is not None:
         return joint_target_of(robot, q, options.joints, options.relative)
     arm = robot.kinematics(q)

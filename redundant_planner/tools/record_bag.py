@@ -28,8 +28,9 @@ from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memor
 
 # Relative names, so that a namespace holds; ~ stands for the planner's name.
 TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'cmd_vel_preview', 'target_pose',
-          'target_joints', 'obstacles', 'attached', 'robot_description', '~/configuration',
-          '~/ticks', '~/target', '~/markers', '/diagnostics')
+          'target_joints', 'target_path', 'target_trajectory', 'obstacles', 'attached',
+          'robot_description', '~/configuration', '~/ticks', '~/target', '~/markers',
+          '/diagnostics')
 _DEPTH = 5000
 # How often the recorder looks for topics that have appeared, and hands the system what it has [s].
 _LOOK = 0.1

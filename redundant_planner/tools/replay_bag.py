@@ -27,6 +27,7 @@ from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.parameters import METHODS, PlannerParameters, ros_name
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety.jerk import SmoothStop
+from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
@@ -119,6 +120,7 @@ def _rows(
     count = len(ticks)
     positions, velocities = np.empty((count, robot.n)), np.empty((count, robot.n))
     previous = ticks[0][1].time
+    chunk: Chunk | None = None  # the latest one
     for i, (_, tick) in enumerate(track(
             ticks, description='replaying', console=Console(stderr=True), transient=True,
             disable=not sys.stderr.isatty())):
@@ -143,8 +145,10 @@ def _rows(
                 planner.reset()
                 q = tick.q
             book.expire(tick.time)
+            target = chunk if tick.goes_on else tick.target
+            chunk = target if isinstance(target, Chunk) else chunk
             dq = planner.step(
-                q, tick.twist, book.scene, dt, _ahead(inputs, tick), tick.target,
+                q, tick.twist, book.scene, dt, _ahead(inputs, tick), target,
                 news=tick.news, gently=tick.kind == TickKind.TRYING).dq
             stop.moving(dq)
         positions[i], velocities[i] = q, dq
@@ -224,6 +228,8 @@ def write_replay(path: Path, inputs: Inputs, replay: Replay, origin_ns: int, tex
              'attached': 'visualization_msgs/msg/MarkerArray',
              'target_pose': 'geometry_msgs/msg/PoseStamped',
              'target_joints': 'sensor_msgs/msg/JointState',
+             'target_path': 'nav_msgs/msg/Path',
+             'target_trajectory': 'trajectory_msgs/msg/JointTrajectory',
              **dict.fromkeys(inputs.topics, 'visualization_msgs/msg/MarkerArray')}
     with BagWriter(path) as bag:
         for topic, kind in kinds.items():

@@ -17,6 +17,7 @@ from redundant_planner.core.errors import StateError
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters, ros_name
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.node_parameters import PlannerNodeParameters
@@ -203,6 +204,36 @@ def test_whatever_numbers_a_tick_has_it_is_sound_or_refused(numbers):
     else:
         assert np.isfinite([tick.stamp_ns, tick.time, *tick.twist, *tick.q]).all()
         assert min(tick.stamp_ns, tick.obstacle_messages, tick.preview_messages) >= 0
+
+
+@pytest.mark.parametrize('velocities', [None, np.ones((3, 7))])
+@pytest.mark.parametrize('topics', [(), ((3, 2**32 - 1),), ((1, 0), (0, 7), (9, 8))])
+def test_a_chunk_survives_the_way_there_and_back_and_is_told_once(velocities, topics):
+    here = Pose(np.array([0.1, 0.2, 0.3]), np.diag([1.0, -1.0, -1.0]))
+    for chunk in (Chunk([0.0, 1.0, 3.0], np.arange(21.0).reshape(3, 7), velocities, late=0.25),
+                  Chunk([0.0, 1.0], [here, here], late=-0.5), Chunk([2.0], np.zeros((1, 7)))):
+        tick = RecordedTick(10, 1.0, TickKind.TRYING, 0, 0, np.nan, 0, np.zeros(6), np.ones(7),
+                            chunk, topics)
+        found = RecordedTick.of(tick.numbers(), 7)
+        assert isinstance(found.target, Chunk) and not found.goes_on
+        assert (found.kind, found.checked_messages) == (TickKind.TRYING, topics)
+        assert found.target.late == chunk.late
+        np.testing.assert_array_equal(found.target.times, chunk.times)
+        if chunk.of_poses:
+            np.testing.assert_array_equal(found.target.points[1].rotation, here.rotation)
+            np.testing.assert_array_equal(found.target.points[1].position, here.position)
+        else:
+            np.testing.assert_array_equal(found.target.points, chunk.points)
+            np.testing.assert_array_equal(found.target.velocities, chunk.velocities)
+        np.testing.assert_array_equal(found.q, tick.q)
+        spoiled = tick.numbers()
+        spoiled[-1 - 2 * len(topics) - 2] = 4.0  # as if it had more points
+        with pytest.raises(StateError):
+            RecordedTick.of(spoiled, 7)
+    further = RecordedTick.of(tick._replace(target=None, goes_on=True).numbers(), 7)
+    assert further.goes_on and further.target is None
+    assert (further.kind, further.checked_messages) == (TickKind.TRYING, topics)
+    np.testing.assert_array_equal(further.q, tick.q)
 
 
 @pytest.mark.parametrize('target', [

@@ -22,7 +22,7 @@ from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Request
 from redundant_planner.core.target.free_space import FreeSpace
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.joint_way import JointWay
 from redundant_planner.core.target.path_search import PathSearch
@@ -126,7 +126,7 @@ class FreeWay:
     def reset(self) -> None:
         """Forget the target and the way."""
         self.stretch, self.out_of_reach = Stretch.LINE, False
-        self._target: Target | None = None
+        self._target: Goal | None = None
         self._way: JointWay | None = None
         self._thought: Generator[Array | None, None, None] | None = None
         self._found: Array | None = None  # control points (k, n) of a curve
@@ -143,7 +143,7 @@ class FreeWay:
         return self._way.seconds if self._way is not None else 0.0
 
     def motion(
-        self, start: Start, target: Target, space: Callable[[], FreeSpace], *, stuck: bool,
+        self, start: Start, target: Goal, space: Callable[[], FreeSpace], *, stuck: bool,
     ) -> JointMotion | None:
         """Return what the joints shall do; None where the tip shall go on in a line.
 
@@ -194,7 +194,7 @@ class FreeWay:
         """Whether the tip shall be somewhere, rather than the joints."""
         return isinstance(self._target, Pose)
 
-    def _is_another(self, target: Target) -> bool:
+    def _is_another(self, target: Goal) -> bool:
         known = self._target
         if isinstance(target, Pose) and isinstance(known, Pose):
             return float(np.abs(se3.pose_error(target, known, False)).max()) > _ANOTHER

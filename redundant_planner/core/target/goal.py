@@ -1,4 +1,4 @@
-"""Where an arm shall go: a pose of the tip, or positions of all joints."""
+"""Where an arm shall go: a pose of the tip, positions of all joints, or a chunk of either."""
 
 from __future__ import annotations
 
@@ -8,19 +8,35 @@ import numpy.typing as npt
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import checked_pose, Pose
+from redundant_planner.core.target.chunk import Chunk
 
 Array = npt.NDArray[np.float64]
 
 # A pose in the base frame, or joint positions (n,) [rad, m].
-Target = Pose | Array
+Goal = Pose | Array
+# A goal, or the way to one with its times.
+Target = Goal | Chunk
+# A chunk may go beyond the limits by this, as measured positions do; it is followed up to them
+# [rad, m].
+_BEYOND = 1e-3
 
 
 def checked_target(target: Target, robot: Robot) -> Target:
     """Return a target as arrays of numbers.
 
     Raises:
-        StateError: it is neither a pose nor n joint positions, or a joint cannot go there.
+        StateError: it is neither a pose nor n joint positions nor a chunk of these, or a joint
+            cannot go there.
     """
+    if isinstance(target, Chunk):
+        if not target.of_poses:
+            _check_range(target, robot)
+        return target
+    return checked_goal(target, robot)
+
+
+def checked_goal(target: Goal, robot: Robot) -> Goal:
+    """Return a pose or joint positions as arrays of numbers; errors as `checked_target`."""
     if isinstance(target, tuple):
         return checked_pose(target)
     q = robot.checked_posture(target)
@@ -31,3 +47,16 @@ def checked_target(target: Target, robot: Robot) -> Target:
             f'{robot.position_min[j]:.6g} to {robot.position_max[j]:.6g}'
             for j in np.flatnonzero(beyond)))
     return q
+
+
+def _check_range(chunk: Chunk, robot: Robot) -> None:
+    """Raise StateError if a chunk has another number of joints, or leads beyond a limit."""
+    low, high = chunk.range
+    if len(low) != robot.n:
+        raise StateError(f'the chunk has {len(low)} joints; {robot.name} has {robot.n}')
+    beyond = (low < robot.position_min - _BEYOND) | (high > robot.position_max + _BEYOND)
+    if beyond.any():
+        raise StateError('; '.join(
+            f"the chunk takes joint '{robot.joint_names[j]}' from {low[j]:.6g} to {high[j]:.6g}; "
+            f'it must stay within {robot.position_min[j]:.6g} to {robot.position_max[j]:.6g}'
+            for j in np.flatnonzero(beyond)))

@@ -57,6 +57,11 @@ class JointStream:
         self._given: Array | None = None
         self.patience = Patience()
 
+    def go_on_from(self, other: JointStream) -> None:
+        """Take over what another one knows of the stream."""
+        self._target.go_on_from(other._target)
+        self._given = other._given
+
     @property
     def moves(self) -> bool:
         """Whether the targets are a stream, or were one until it fell silent."""

@@ -14,7 +14,7 @@ from redundant_planner.core.obstacles.scene import rotations
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.core.target.goal import checked_target, Target
+from redundant_planner.core.target.goal import checked_goal, Goal, Target
 from redundant_planner.core.target.smoother import Estimate, Sample, Smoother
 
 Array = npt.NDArray[np.float64]
@@ -41,7 +41,7 @@ class Sighting(NamedTuple):
         age: of its stamp [s], by whichever clocks: differences count. None without a stamp.
     """
 
-    target: Pose | Array
+    target: Goal
     age: float | None = None
 
 
@@ -56,8 +56,8 @@ def checked_news(
     """
     found = []
     for given, age in news:
-        checked = checked_target(given, robot)
-        if isinstance(checked, Pose) != isinstance(target, Pose) or target is None:
+        checked = checked_goal(given, robot)
+        if type(checked) is not type(target):
             raise StateError('news has a target of another kind than the one that holds: '
                              f'{shown(given)}')
         if age is not None and not abs(age) < math.inf:
@@ -94,6 +94,15 @@ class MovingTarget:
         self._stamp = math.nan  # of the last one, by our clock [s]
         self._smoother: Smoother | None = None
         self._first: Sample | None = None  # of what may become a stream
+
+    def go_on_from(self, other: MovingTarget) -> None:
+        """Take over what another one knows, whose lag may have been another."""
+        self.moves, self.estimate = other.moves, other.estimate
+        self._now, self._heard = other._now, other._heard
+        self._least_age, self._stamp = other._least_age, other._stamp
+        self._smoother, self._first = other._smoother, other._first
+        if self._smoother is not None:
+            self._smoother.lag = self._lag
 
     def sense(
         self, news: list[tuple[Array, float | None]], dt: float,

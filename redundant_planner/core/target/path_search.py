@@ -16,7 +16,7 @@ import numpy.typing as npt
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.target.free_space import FreeSpace, Place
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.goal_postures import goal_postures, only_posture
 
 Array = npt.NDArray[np.float64]
@@ -76,7 +76,7 @@ class PathSearch:
     """
 
     def __init__(
-        self, space: FreeSpace, start: Array, target: Target, *, gives_way: bool,
+        self, space: FreeSpace, start: Array, target: Goal, *, gives_way: bool,
     ) -> None:
         """Prepare.
 

@@ -30,6 +30,9 @@ class Progress(NamedTuple):
         miss: how near its way comes to the target: 0 if it leads there [m, rad].
         joint: what the joint that is furthest from a target of the joints is off by; 0 on the way
             to a pose [rad, m].
+        behind: how far the arm is behind the time of a chunk [s].
+        beside: how far from the chunk it is at that time: the joint or the axis of the tip that
+            is furthest off [rad, m].
     """
 
     state: TargetState
@@ -38,3 +41,5 @@ class Progress(NamedTuple):
     seconds: float
     miss: float
     joint: float = 0.0
+    behind: float = 0.0
+    beside: float = 0.0

@@ -116,8 +116,8 @@ class Smoother:
             first: the sample.
             now: the time now [s].
         """
-        self._lag, self._gate, self._now = lag, gate, now
-        self._scale = lag or _SCALE
+        self._gate, self._now = gate, now
+        self.lag = lag
         self._waiting: deque[Sample] = deque()
         self._latest = first.time
         self._delays, self._gaps = _Usual(), _Usual()
@@ -127,9 +127,13 @@ class Smoother:
         self._then = self._fit  # what was given last, at `_now`
 
     @property
-    def newest(self) -> Array:
-        """The newest sample that counts (k,)."""
-        return self._used[-1].value
+    def lag(self) -> float:
+        """Behind the samples, where they come often enough for it [s]; it may be changed."""
+        return self._lag
+
+    @lag.setter
+    def lag(self, lag: float) -> None:
+        self._lag, self._scale = lag, lag or _SCALE
 
     @property
     def gap(self) -> float:
@@ -157,9 +161,8 @@ class Smoother:
         while self._waiting and self._waiting[0].time <= now - self._delay:
             self._use(self._waiting.popleft())
         before = self._behind
-        if self._lag > 0.0:
-            wished = max(self._lag, self._delay + _GAPS * self._gaps.value)
-            self._behind += _bounded(wished - before, pace)
+        wished = self._lag and max(self._lag, self._delay + _GAPS * self._gaps.value)
+        self._behind += _bounded(wished - before, pace)
         rate = (1.0 - _SLOWER * self._noisy) * _BANDWIDTH / max(
             self._scale, _GAPS * self._gaps.value)
         reference = self._reference(now - self._behind)

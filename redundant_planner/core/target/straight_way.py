@@ -114,6 +114,11 @@ class StraightWay:
         self._given: Array | None = None  # the latest pose's numbers
         self.begin()
 
+    def go_on_from(self, other: StraightWay) -> None:
+        """Take over what another one knows of the target."""
+        self._target.go_on_from(other._target)
+        self._given = other._given
+
     def begin(self) -> None:
         """Forget the way, but not how the target moves."""
         self.left = self._seconds = 0.0

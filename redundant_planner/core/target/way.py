@@ -1,4 +1,4 @@
-"""The way to a target: free, in a line, or first the one and then the other.
+"""The way to a target: free, in a line, or first the one and then the other; or along a chunk.
 
 To joint positions it is always free.
 """
@@ -24,9 +24,11 @@ from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Filtered
+from redundant_planner.core.target.chunk import Chunk
+from redundant_planner.core.target.chunk_follower import ChunkFollower
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.free_way import FreeWay, JointMotion, Stretch
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Goal, Target
 from redundant_planner.core.target.joint_stream import JointStream
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.core.target.progress import Progress, REACHED, TargetState
@@ -54,9 +56,14 @@ class Way:
 
     def __init__(
         self, robot: Robot, parameters: PlannerParameters, limits: Limits,
-        constants: RobotConstants, gains: Gains,
+        constants: RobotConstants, gains: Gains, before: Way | None = None,
     ) -> None:
-        """Prepare for an arm; the other arguments are made of the parameters."""
+        """Prepare for an arm; the other arguments are made of the parameters.
+
+        Args:
+            robot, parameters, limits, constants, gains: of the arm.
+            before: the way with other parameters; a chunk goes on where it has got to.
+        """
         self._robot, self._constants = robot, constants
         self._joints = path_joints(constants, gains, limits)
         full_speed = np.maximum(
@@ -67,10 +74,17 @@ class Way:
         self._free = FreeWay(
             robot, limits, constants.scaling, full_speed, parameters.feedback_gain,
             gives_way=parameters.target_gives_way)
+        self._chunks = ChunkFollower(
+            robot, limits, self._joints, full_speed, parameters.feedback_gain)
         self._straight = parameters.target_path == 'straight'
         self._range = limits.positions[1], limits.positions[0]
         self._space: tuple[InflatedObstacles, FreeSpace] | None = None
-        self._given: Target | None = None
+        self._given: Goal | None = None
+        if before is not None:
+            self._chunks.go_on_from(before._chunks)
+            self._line.go_on_from(before._line)
+            self._stream.go_on_from(before._stream)
+            self._given = before._given
 
     def reset(self) -> None:
         """Forget the target."""
@@ -78,6 +92,7 @@ class Way:
         self._line.reset()
         self._stream.reset()
         self._free.reset()
+        self._chunks.reset()
 
     def aim(
         self, start: Start, target: Target, followed: Array, delay: float,
@@ -97,6 +112,9 @@ class Way:
                 `target` is another than in the last tick.
             free: whether the way is free in any case.
         """
+        if isinstance(target, Chunk):
+            return self._along(start, target, followed, delay)
+        self._chunks.reset()
         line, stream, way = self._line, self._stream, self._free
         if not news and not _same(target, self._given):
             news = (Sighting(target),)
@@ -127,12 +145,29 @@ class Way:
         """Return what to do in a tick that the joints' motion is given for."""
         return Aim(self._robot.full_twist(start.arm.jacobian @ joints.velocity), None, joints)
 
+    def _along(self, start: Start, chunk: Chunk, followed: Array, delay: float) -> Aim:
+        """Return what to do in a tick along a chunk, see `aim`."""
+        if not self._chunks.is_active:
+            self.reset()
+        joints = self._chunks.joints(start, chunk, followed, delay)
+        if joints is None:
+            return Aim(*self._chunks.twist(start), None)
+        return self._by(joints, start)
+
+    @property
+    def is_along_chunk(self) -> bool:
+        """Whether a chunk is the target."""
+        return self._chunks.is_active
+
     def went_on(self, result: Filtered, dt: float) -> None:
-        """Note what a tick made of what the joints should do."""
-        self._free.went_on(result.scale, result.residual, dt)
+        """Note what a tick made of what the joints should do, or the tip along a chunk."""
+        way = self._chunks if self.is_along_chunk else self._free
+        way.went_on(result.scale, result.residual, dt)
 
     def progress(self, target: Target, arm: Kinematics) -> Progress:
         """Return how far the arm has come, from where it is."""
+        if isinstance(target, Chunk):
+            return self._chunks.progress(target, arm)
         tip = Pose(arm.tip_position, arm.tip_rotation)
         if isinstance(target, Pose):
             found = self._line.progress(target, tip)
@@ -179,7 +214,7 @@ class Way:
         return self._space[1]
 
 
-def _same(target: Target, known: Target | None) -> bool:
+def _same(target: Goal, known: Goal | None) -> bool:
     """Return whether a target is the one that is known already."""
     if target is known:
         return True

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from conftest import make_panda, make_planar, PANDA_READY
 import numpy as np
 import pytest
@@ -105,6 +107,21 @@ def test_news_that_is_none_is_refused_by_name(news, what):
     planner = Planner(PANDA, PlannerParameters())
     with pytest.raises(StateError, match=what):
         planner.step(PANDA_READY, STILL, EMPTY, DT, target=tip(PANDA, PANDA_READY), news=news)
+
+
+@pytest.mark.parametrize('changed', [{'limits_linear_speed': 0.5}, {'target_lag': 0.12}])
+def test_parameters_that_change_do_not_stop_it(changed):
+    run, begin = Run(make_panda()), tip(PANDA, PANDA_READY)
+
+    def pose(t):
+        return moved(begin, (0.0, 0.05 * t, 0.0, 0.0, 0.0, 0.0))
+
+    run.to(sampled(pose, 10), 2.0)
+    run.planner.parameters = replace(run.planner.parameters, **changed)
+    run.to(sampled(lambda t: pose(2.0 + t), 10), 2.0)
+    assert {r.progress.state for r in run.results[100:]} == {TargetState.MOVING}
+    assert np.abs(np.diff(run.tips, axis=0)[250:, 1] / DT - 0.05).max() < 0.01
+    run.assert_within_limits()
 
 
 def test_a_clutch_moves_the_arm_in_a_line_back_to_its_stream():
