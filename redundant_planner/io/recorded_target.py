@@ -70,7 +70,7 @@ def parted(row: Array, kind: int, n: int) -> tuple[Array, int, RecordedTarget]:
     news: tuple[Sighting, ...] = ()
     what = kind // _STEP * _STEP
     width = {_WITH_POSE: _POSE, _WITH_JOINTS: n}.get(what, 0)
-    if kind % _KINDS >= _WITH_NEWS:
+    if width and kind % _KINDS >= _WITH_NEWS:
         row, news = _news_parted(row, width, poses=what == _WITH_POSE)
         kind -= _WITH_NEWS
     if what == _WITH_CHUNK:

@@ -243,7 +243,7 @@ def test_a_chunk_survives_the_way_there_and_back_and_is_told_once(velocities, to
 def test_every_kind_of_target_survives_the_way_there_and_back(target, topics, ages):
     news = tuple(Sighting(target, age) for age in ages) if target is not None else ()
     tick = RecordedTick(10, 1.0, TickKind.GOING_ON, 0, 0, np.nan, 0, np.zeros(6), np.ones(7),
-                        target, topics, news)
+                        target, topics, news=news)
     found = RecordedTick.of(tick.numbers(), 7)
     assert type(found.target) is type(target) and found.kind is TickKind.GOING_ON
     assert found.checked_messages == topics
