@@ -15,9 +15,9 @@ from redundant_planner.core.errors import known, StateError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.chunk import MOST_POINTS
-from redundant_planner.io.cdr import byte_order, ENCAPSULATION, text
+from redundant_planner.io.cdr import byte_order, ENCAPSULATION, text, words_and_doubles
 from redundant_planner.io.joint_layout import MOST_JOINTS
-from redundant_planner.io.target_reader import pose_of_numbers
+from redundant_planner.io.target_reader import poses_of_numbers
 
 Array = npt.NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class _Fields:
         order = byte_order(raw)
         self._raw, self._at = raw, ENCAPSULATION
         self._word, self._stamp = struct.Struct(f'{order}I'), struct.Struct(f'{order}iI')
-        self._double = np.dtype(f'{order}f8')
+        self._order = order
 
     def count(self) -> int:
         """Return an unsigned integer."""
@@ -69,15 +69,20 @@ class _Fields:
         self._at += length
         return found
 
-    def numbers(self, count: int) -> Array:
-        """Return so many 64-bit numbers."""
+    def place(self, count: int) -> int:
+        """Pass so many 64-bit numbers; return where in `rows` the first of them is."""
         if count:
             self._at = ENCAPSULATION + -(-(self._at - ENCAPSULATION) // 8) * 8
-        if self._at + 8 * count > len(self._raw):
-            raise StateError(f'the bytes end too early: there are {len(self._raw)}')
-        found = np.frombuffer(self._raw, self._double, count, self._at)
+        first = (self._at - ENCAPSULATION) // 8
         self._at += 8 * count
-        return found.astype(np.float64)
+        if self._at > len(self._raw):
+            raise StateError(f'the bytes end too early: there are {len(self._raw)}')
+        return first
+
+    def rows(self, places: list[int], count: int) -> Array:
+        """Return so many numbers (K, count) from each of K places on."""
+        return np.asarray(words_and_doubles(self._raw, self._order)[1][
+            np.array(places, np.intp)[:, None] + np.arange(count)])
 
     def _take(self, field: struct.Struct, size: int) -> tuple[int, ...]:
         self._at = ENCAPSULATION + -(-(self._at - ENCAPSULATION) // size) * size
@@ -102,7 +107,7 @@ def read_path(raw: bytes) -> ReadChunk:
     fields = _Fields(raw)
     stamped, frame = fields.nanoseconds() != 0, fields.name()
     count = _count_of(fields, 'poses')
-    due, poses = np.empty(count, np.int64), []
+    due, places = np.empty(count, np.int64), list[int]()
     for i in range(count):
         due[i], name = fields.nanoseconds(), fields.name()
         if not frame:
@@ -110,12 +115,12 @@ def read_path(raw: bytes) -> ReadChunk:
         if name not in ('', frame):
             raise StateError(f"pose {i} is given in frame '{name}', others in '{frame}'; all of "
                              'a path must be in one')
-        poses.append(pose_of_numbers(fields.numbers(7), f'pose {i}: its'))
+        places.append(fields.place(7))
     if not due.any():
         raise StateError('its poses have no stamps; the stamp of each must say when it is due')
     begin = int(due[0])
     return ReadChunk(begin / 1e9 if stamped else 0.0, frame, 1e-9 * np.array(due - begin, float),
-                     tuple(poses), None)
+                     poses_of_numbers(fields.rows(places, 7), 'pose {}: its'), None)
 
 
 def read_trajectory(raw: bytes, robot: Robot, rest: Array) -> ReadChunk:
@@ -137,7 +142,7 @@ def read_trajectory(raw: bytes, robot: Robot, rest: Array) -> ReadChunk:
     stamp, _ = fields.nanoseconds(), fields.name()
     names = _names_of(fields, robot)
     count, joints = _count_of(fields, 'points'), len(names)
-    due, positions, velocities = np.empty(count, np.int64), list[Array](), list[Array]()
+    due, positions, velocities = np.empty(count, np.int64), list[int](), list[int]()
     for i in range(count):
         for what, found in (('positions', positions), ('velocities', velocities)):
             size = fields.count()
@@ -145,17 +150,17 @@ def read_trajectory(raw: bytes, robot: Robot, rest: Array) -> ReadChunk:
                 raise StateError(f'point {i} has {size} {what} for {joints} joints; it takes one '
                                  'for each')
             if size:
-                found.append(fields.numbers(size))
+                found.append(fields.place(size))
         for _ in ('accelerations', 'efforts'):
-            fields.numbers(fields.count())
+            fields.place(fields.count())
         due[i] = fields.nanoseconds()
     columns = [robot.joint_names.index(name) for name in names]
     points = np.tile(np.clip(rest, robot.position_min, robot.position_max), (count, 1))
-    points[:, columns] = positions
+    points[:, columns] = fields.rows(positions, joints)
     speeds = None
     if len(velocities) == count:
         speeds = np.zeros(points.shape)
-        speeds[:, columns] = velocities
+        speeds[:, columns] = fields.rows(velocities, joints)
     return ReadChunk(stamp / 1e9, '', 1e-9 * np.array(due, float),
                      _short_way(points, rest, robot), speeds)
 

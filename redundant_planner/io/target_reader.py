@@ -37,29 +37,33 @@ def read_target(raw: bytes) -> tuple[float, str, Pose]:
         numbers = struct.unpack_from(f'{order}7d', raw, ENCAPSULATION + -(-end // 8) * 8)
     except struct.error:
         raise StateError(f'the bytes end within the pose: there are {len(raw)}') from None
-    return stamp, frame, pose_of_numbers(np.array(numbers), 'its')
+    return stamp, frame, poses_of_numbers(np.array([numbers]), 'its')[0]
 
 
-def pose_of_numbers(numbers: Array, whose: str) -> Pose:
-    """Return the pose of seven numbers: x y z [m], and a quaternion x y z w.
+def poses_of_numbers(numbers: Array, whose: str) -> tuple[Pose, ...]:
+    """Return poses of seven numbers each: x y z [m], and a quaternion x y z w.
 
     Args:
-        numbers: (7,).
-        whose: they are, as an error says it.
+        numbers: (K, 7).
+        whose: they are, as an error says it, with {} for which of them.
 
     Raises:
-        StateError: a coordinate is too large or not finite, or the quaternion is not one of
+        StateError: a coordinate is too large or not finite, or a quaternion is not one of
             length 1.
     """
-    position, quaternion = numbers[:3], numbers[3:]
-    if not (np.abs(position) <= _FARTHEST).all():
-        raise StateError(f'{whose} position is {position.tolist()}; all three numbers must be '
-                         f'finite, up to {_FARTHEST:g} m')
-    length = math.hypot(*quaternion.tolist())
-    if not abs(length - 1.0) <= _NO_UNIT:
-        raise StateError(f'{whose} orientation is the quaternion {quaternion.tolist()} of length '
-                         f'{length:.3g}; it must be 1')
-    return Pose(position, rotations(quaternion[None] / length)[0])
+    positions, quaternions = numbers[:, :3], numbers[:, 3:]
+    far = ~(np.abs(positions) <= _FARTHEST).all(axis=1)
+    if far.any():
+        i = int(far.argmax())
+        raise StateError(f'{whose.format(i)} position is {positions[i].tolist()}; all three '
+                         f'numbers must be finite, up to {_FARTHEST:g} m')
+    lengths = np.array([math.hypot(*quaternion) for quaternion in quaternions.tolist()])
+    odd = ~(np.abs(lengths - 1.0) <= _NO_UNIT)
+    if odd.any():
+        i = int(odd.argmax())
+        raise StateError(f'{whose.format(i)} orientation is the quaternion '
+                         f'{quaternions[i].tolist()} of length {lengths[i]:.3g}; it must be 1')
+    return tuple(map(Pose, positions, rotations(quaternions / lengths[:, None])))
 
 
 def read_joint_target(
