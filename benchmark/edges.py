@@ -109,28 +109,41 @@ class Rest:
                 and self.travel > _TRAVEL)
 
 
+class Arm:
+    """An arm that may run into itself.
+
+    Attributes:
+        robot: which.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        """Prepare to measure its links, with the margin that is kept by default."""
+        self.robot = robot
+        self._constants = robot_constants(robot, PlannerParameters())
+
+    def room(self, q: Array) -> float:
+        """Return the smallest distance between links beyond their margin [m]."""
+        arm, constants = self.robot.kinematics(q), self._constants
+        return float(link_distances(arm.segment_start, arm.segment_end, constants.radii,
+                                    constants.self_pairs).distance.min(initial=np.inf))
+
+
 @cache
-def arm_of(urdf: Path) -> Robot:
+def arm_of(urdf: Path) -> Arm:
     """Return an arm, loaded once a process."""
-    return load_arm(urdf)
+    return Arm(load_arm(urdf))
 
 
-def start_of(robot: Robot, seed: int, number: int) -> Array:
+def start_of(arm: Arm, seed: int, number: int) -> Array:
     """Return a random posture (n,) that has room on all sides."""
+    robot = arm.robot
     random = np.random.default_rng([seed, number])
     low, high = np.maximum(robot.position_min, -np.pi), np.minimum(robot.position_max, np.pi)
     spare = _FROM_LIMITS * (high - low)
     while True:
         q = random.uniform(low + spare, high - spare)
-        if _room(robot, q) > _ROOM:
+        if arm.room(q) > _ROOM:
             return q
-
-
-def _room(robot: Robot, q: Array) -> float:
-    """Return the smallest distance between links beyond their margin [m]."""
-    arm, constants = robot.kinematics(q), robot_constants(robot, PlannerParameters())
-    return float(link_distances(arm.segment_start, arm.segment_end, constants.radii,
-                                constants.self_pairs).distance.min(initial=np.inf))
 
 
 class Driven(NamedTuple):
@@ -161,14 +174,14 @@ def driven(
     return Driven(postures, velocities, reason)
 
 
-def rest_of(robot: Robot, motion: Driven, dt: float) -> Rest:
+def rest_of(arm: Arm, motion: Driven, dt: float) -> Rest:
     """Return how a motion ended."""
-    half = len(motion.velocities) // 2
+    robot, half = arm.robot, len(motion.velocities) // 2
     late = [robot.kinematics(q) for q in motion.postures[half:]]
-    tips = np.array([arm.tip_position for arm in late])
+    tips = np.array([at.tip_position for at in late])
     # The angle of a rotation from its trace.
-    turned = np.array([np.trace(late[0].tip_rotation.T @ arm.tip_rotation) for arm in late])
-    room = np.array([_room(robot, q) for q in motion.postures])
+    turned = np.array([np.trace(late[0].tip_rotation.T @ at.tip_rotation) for at in late])
+    room = np.array([arm.room(q) for q in motion.postures])
     return Rest(
         reversals(accelerations(motion.velocities, dt)[half:], robot.acceleration_max),
         float(np.linalg.norm(tips - tips[0], axis=1).max()),
@@ -180,9 +193,10 @@ def rest_of(robot: Robot, motion: Driven, dt: float) -> Rest:
 
 def run(case: Case, dt: float) -> Rest:
     """Run a case."""
-    robot = arm_of(case.urdf)
-    start = start_of(robot, case.seed, case.number)
-    return rest_of(robot, driven(robot, VARIANTS[case.variant], start, case.twist, dt), dt)
+    arm = arm_of(case.urdf)
+    start = start_of(arm, case.seed, case.number)
+    return rest_of(
+        arm, driven(arm.robot, VARIANTS[case.variant], start, case.twist, dt), dt)
 
 
 def cases(count: int, seed: int, names: list[str], variants: list[str]) -> Iterator[Case]:
