@@ -37,8 +37,9 @@ VARIANTS = {
     'slide': PlannerParameters(path_priority='slide'),
 }
 SECONDS = 12.0
-# Speeds of the commanded twist, along and about an axis [m/s], [rad/s].
-_LINEAR, _ANGULAR = 0.2, 0.5
+# Speeds of the commanded twist, along and about an axis: most arms meet what stops them in the
+# first half of the time [m/s], [rad/s].
+_LINEAR, _ANGULAR = 0.25, 1.0
 # Random postures lie so far from limits of joints that turn by no more than a turn, as a share of
 # their range, and keep so much room between links beyond the margin [m].
 _FROM_LIMITS, _ROOM = 0.05, 0.005

@@ -65,10 +65,16 @@ _BACK = 'the arm comes back to its path'
 _JERK_GIVES_WAY = 'jerk gives way to a clearance'
 # Stages that keep every clearance with the path kept: they may be those of a slower arm.
 _SLOWER_STAGES = (Stage.SCALED, Stage.SLIDING, Stage.BRAKING)
+# Stages that tell how much of a command can be followed.
+_ON_PATH = (*_SLOWER_STAGES, Stage.STOPPED)
 # Fastest joint of an arm that moves gently [rad/s, m/s].
 _GENTLE = 0.05
 # How fast the reference pose catches up with a tip that evades along the path [1/s].
 _CATCHING_UP = 5.0
+# Null-space motion serves a tip that moves. Where less than this share of the command has been
+# followed lately, which is a mean over so long [s], there is less of it: an arm that cannot go on
+# comes to rest.
+_HARDLY, _LATELY = 0.1, 0.3
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
 _RUSH = 0.1
 
@@ -82,6 +88,8 @@ class _LastTick(NamedTuple):
         followed: (m,) the part of the path that was followed.
         leaving: whether the arm is leaving its path to evade something.
         rush: for how long clearance still goes before jerk [s].
+        share: of the command that has been followed lately.
+        slid: whether the tip turned aside from something at rest.
     """
 
     dq: Array
@@ -89,6 +97,13 @@ class _LastTick(NamedTuple):
     followed: Array
     leaving: bool
     rush: float
+    share: float
+    slid: bool
+
+    @property
+    def worth(self) -> float:
+        """Share of the null-space motion that is worth its while."""
+        return min(self.share / _HARDLY, 1.0)
 
 
 class _Aim(NamedTuple):
@@ -236,7 +251,7 @@ class Planner:
 
     def _at_rest(self) -> _LastTick:
         return _LastTick(
-            np.zeros(self.robot.n), None, np.zeros(self.robot.m), False, 0.0)
+            np.zeros(self.robot.n), None, np.zeros(self.robot.m), False, 0.0, 1.0, False)
 
     @property
     def reference(self) -> Pose | None:
@@ -312,7 +327,8 @@ class Planner:
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(
             around.maps, around.start, around.end, around.range, aim.turn,
-            last.dq if aim.path is None else aim.path, aim.guided, self._observer.strayed)
+            last.dq if aim.path is None else aim.path, aim.guided, last.worth,
+            self._observer.strayed)
         desired = wish(start, world, self._setup)
 
         # Guard: every limit and barrier, docs/safety.md.
@@ -423,7 +439,10 @@ class Planner:
         self._last = _LastTick(
             result.dq, reached, followed, leaving,
             _RUSH if result.stage is Stage.FORCED and desired.intruded and not (
-                self._margin_grew and self._watch.fastest == 0.0) else last.rush - dt)
+                self._margin_grew and self._watch.fastest == 0.0) else last.rush - dt,
+            last.share + (1.0 - math.exp(-dt / _LATELY)) * (
+                (result.scale if result.stage in _ON_PATH and not by_joints else 1.0)
+                - last.share), result.stage is Stage.SLIDING)
         # Where a margin has grown and nothing moves, jerk does not give way.
         self._margin_grew = self._margin_grew and desired.intruded
 
@@ -545,6 +564,7 @@ class Planner:
             request = request._replace(desired=share * wanted, twist=share * request.twist)
         result = safe_velocity(
             request, limits, barriers, weights=self._weights, gain=p.clearance_gain,
+            price=1.0 if joints is not None else self._last.worth, slides=self._last.slid,
             may_yield=leaves or (desired.intruded and p.path_priority != 'strict'),
             may_slide=p.path_priority == 'slide' and joints is None and not leaves and bool(
                 start.command.any()), leaves=leaves, dt=start.dt)
