@@ -53,8 +53,9 @@ _SLIGHT, _SLOWLY_OUT = 2e-5, 1e-3
 _IN_PLACE = 5e-4
 # How exactly a turn is made, as a share of a joint's speed limit.
 _TURN_TOLERANCE = 0.005
-# Two for the cone, one each for the singularity and self-motion.
-_OTHER_ROWS = 4
+# Two for the cone, three for each of six singular values but one for the last, and one for
+# self-motion.
+_OTHER_ROWS = 19
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
 STRAY, STRAY_ANGLE = 2.5e-4, 2.5e-3
 
@@ -356,23 +357,51 @@ def cone_rows(rows: Barriers, at: int, start: Start, cone: Cone) -> int:
 
 
 @kernel
-def singularity_row(
+def _singular_row(
+    rows: Barriers, at: int, arm: Kinematics, left: Vector, right: Vector, value: float,
+    constants: RobotConstants,
+) -> int:
+    """Write a row that keeps uᵀ J v, of directions u and v; return the next row.
+
+    Args:
+        rows, at: where to.
+        arm: where J is from.
+        left, right: (m,) u and (n,) v, which turn along as the arm moves.
+        value: what may be given up of it.
+        constants: of the robot.
+    """
+    rows.gradient[at] = derivative_between(
+        left, arm.tip_jacobian, constants.scaling * right, arm.tip_rotation, constants.in_tool,
+        constants.rows)
+    rows.value[at], rows.kind[at] = max(value, 0.0), SINGULARITY
+    return at + 1
+
+
+@kernel
+def singularity_rows(
     rows: Barriers, at: int, arm: Kinematics, parts: Decomposition, constants: RobotConstants,
     margin: float,
 ) -> int:
-    """Write a row that keeps the smallest singular value, where it is small; return the next row.
+    """Write rows that keep the singular values that are small; return the next row.
 
-    With the singular value's directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v.
+    With a singular value's directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v. Where two are equal
+    their directions are any of a plane, and turn at once: the smaller one alone would be another
+    one in each tick. So both have a row, and so have the two directions half way between them.
     """
-    smallest = parts.singular_values[-1]
-    if smallest > _SINGULARITY_NEAR * margin:
-        return at
-    rows.gradient[at] = derivative_between(
-        parts.left[:, -1], arm.tip_jacobian, constants.scaling * parts.right[-1],
-        arm.tip_rotation, constants.in_tool, constants.rows)
-    rows.value[at] = max(smallest - margin, 0.0)
-    rows.kind[at] = SINGULARITY
-    return at + 1
+    sigma, left, right = parts.singular_values, parts.left, parts.right
+    half = math.sqrt(0.5)
+    for i in range(len(sigma) - 1, -1, -1):
+        if sigma[i] > _SINGULARITY_NEAR * margin:
+            break
+        at = _singular_row(
+            rows, at, arm, left[:, i].copy(), right[i], sigma[i] - margin, constants)
+        if i + 1 < len(sigma):
+            for way in (half, -half):
+                at = _singular_row(
+                    rows, at, arm, half * left[:, i] + way * left[:, i + 1],
+                    half * right[i] + way * right[i + 1],
+                    0.5 * (sigma[i] + sigma[i + 1]) - margin, constants)
+    return at
 
 
 @compiled
