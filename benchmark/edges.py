@@ -2,7 +2,8 @@
 
 Every arm of example-robot-data with six or seven joints, from random postures, is sent in each of
 twelve directions until something stops it: a singularity, the end of its reach, a joint limit,
-another link. What counts is the second half of the time.
+another link. What counts is the second half of the time, of the arms that have been stopped by
+then: a tip that turns on about its own axis meets nothing.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -27,6 +29,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
@@ -43,6 +46,9 @@ _LINEAR, _ANGULAR = 0.25, 1.0
 # Random postures lie so far from limits of joints that turn by no more than a turn, as a share of
 # their range, and keep so much room between links beyond the margin [m].
 _FROM_LIMITS, _ROOM = 0.05, 0.005
+# Arms whose tip is slower than this share of the command, over so long before half-time, have been
+# stopped [s].
+_STOPPED, _BEFORE = 0.1, 1.0
 # A tip that stays within this has got nowhere [m], [rad]; joints that travel further meanwhile are
 # restless: a tip may move that much by round-off and a slow end, joints may follow [rad, m].
 _NOWHERE, _NOWHERE_ANGLE, _TRAVEL = 1e-3, 5e-3, 0.05
@@ -87,6 +93,7 @@ class Rest:
     """How a run ended.
 
     Attributes:
+        stopped: whether the arm had been stopped by half-time.
         reversals: see `Verdict`, of the second half of the time.
         tip, tip_angle: how far the tip got from where it was at half-time, at most [m], [rad].
         travel: of the joint that travelled furthest in the second half [rad, m].
@@ -95,6 +102,7 @@ class Rest:
         reason: what the planner said in the end.
     """
 
+    stopped: bool
     reversals: int
     tip: float
     tip_angle: float
@@ -178,26 +186,33 @@ def driven(
 def rest_of(arm: Arm, motion: Driven, dt: float) -> Rest:
     """Return how a motion ended."""
     robot, half = arm.robot, len(motion.velocities) // 2
-    late = [robot.kinematics(q) for q in motion.postures[half:]]
+    then, *late = (robot.kinematics(q) for q in (
+        motion.postures[half - round(_BEFORE / dt)], *motion.postures[half:]))
+    way = np.linalg.norm(late[0].tip_position - then.tip_position)
+    moved = way / _LINEAR + _turned(then, late[0]) / _ANGULAR
     tips = np.array([at.tip_position for at in late])
-    # The angle of a rotation from its trace.
-    turned = np.array([np.trace(late[0].tip_rotation.T @ at.tip_rotation) for at in late])
     room = np.array([arm.room(q) for q in motion.postures])
     return Rest(
+        bool(moved < _STOPPED * _BEFORE),
         reversals(accelerations(motion.velocities, dt)[half:], robot.acceleration_max),
         float(np.linalg.norm(tips - tips[0], axis=1).max()),
-        float(np.arccos(np.minimum(np.maximum(0.5 * (turned - 1.0), -1.0), 1.0)).max()),
+        max(_turned(late[0], at) for at in late),
         float(np.abs(motion.velocities[half:]).sum(axis=0).max() * dt),
         limit_violation(robot, motion.postures, motion.velocities, dt),
         float(room.min()), motion.reason)
+
+
+def _turned(one: Kinematics, other: Kinematics) -> float:
+    """Return the angle between two orientations of the tip [rad]."""
+    return float(np.linalg.norm(pin.log3(one.tip_rotation.T @ other.tip_rotation)))
 
 
 def run(case: Case, dt: float) -> Rest:
     """Run a case."""
     arm = arm_of(case.urdf)
     start = start_of(arm, case.seed, case.number)
-    return rest_of(
-        arm, driven(arm.robot, VARIANTS[case.variant], start, case.twist, dt), dt)
+    motion = driven(arm.robot, VARIANTS[case.variant], start, case.twist, dt)
+    return rest_of(arm, motion, dt)
 
 
 def cases(count: int, seed: int, names: list[str], variants: list[str]) -> Iterator[Case]:
@@ -213,13 +228,19 @@ def cases(count: int, seed: int, names: list[str], variants: list[str]) -> Itera
 
 
 def summarise(found: list[Rest]) -> dict[str, Any]:
-    """Return the JSON entry of some runs."""
-    counts = [rest.reversals for rest in found]
+    """Return the JSON entry of some runs.
+
+    Figures are of those that had been stopped by half-time; `moving` are the others.
+    """
+    stopped = [rest for rest in found if rest.stopped]
+    counts = [rest.reversals for rest in stopped] or [0]
     return {
-        'runs': len(found),
+        'runs': len(stopped),
         'reversals_p99': float(np.percentile(counts, 99)),
         'reversals_max': max(counts),
-        'restless': sum(rest.restless for rest in found),
+        'restless': sum(rest.restless for rest in stopped),
+        'moving': len(found) - len(stopped),
+        'reversals_max_moving': max((r.reversals for r in found if not r.stopped), default=0),
         'violations': sum(rest.violation > 0.0 for rest in found),
         'closest_mm': 1e3 * min(rest.clearance for rest in found),
     }
@@ -252,7 +273,8 @@ def print_worst(found: list[tuple[Case, Rest]]) -> None:
     for heading in ('run', 'reversals', 'tip [mm]', 'tip [mrad]', 'joint [rad]', 'reason'):
         table.add_column(heading)
     for case, rest in sorted(
-            found, key=lambda f: (f[1].restless, f[1].reversals), reverse=True)[:_SHOWN]:
+            (f for f in found if f[1].stopped), reverse=True,
+            key=lambda f: (f[1].restless, f[1].reversals))[:_SHOWN]:
         table.add_row(str(case), str(rest.reversals), f'{1e3 * rest.tip:.2f}',
                       f'{1e3 * rest.tip_angle:.2f}', f'{rest.travel:.3f}', rest.reason)
     Console(width=160).print(table)

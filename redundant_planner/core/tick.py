@@ -309,7 +309,7 @@ def _wish(
     at = rows.link_rows(found, at, own, constants)
     rows.ease_slight_intrusions(found, at, obstacles, parts, scaling, gains.clearance_gain)
     at = rows.cone_rows(found, at, start, constants.cone)
-    at = rows.singularity_rows(found, at, arm, parts, constants, gains.singularity_margin)
+    at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
     if not intruded:
         at = rows.self_motion_row(found, at, start, parts, limits, constants)
     barriers = barriers_in_compiled(memory.rows, at)

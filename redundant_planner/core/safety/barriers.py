@@ -43,6 +43,8 @@ OBSTACLE, TURN, LINK, CONE, SINGULARITY, SELF_MOTION = range(6)
 _FOUND_INSIDE = 1e-3
 # The singularity barrier is looked at below this multiple of its margin.
 _SINGULARITY_NEAR = 5.0
+# A singular value of a smaller share in its gradient costs more time than it tells.
+_COUNTS = 1e-4
 # Share of the cone's angle that is kept free, and of the rest that counts. What has drifted out by
 # no more than this comes back; beyond twice that it counts as found outside [rad].
 _SPARE_IN_CONE, _CAUTION_IN_CONE, _DRIFT = 0.03, 0.4, 0.01
@@ -53,9 +55,8 @@ _SLIGHT, _SLOWLY_OUT = 2e-5, 1e-3
 _IN_PLACE = 5e-4
 # How exactly a turn is made, as a share of a joint's speed limit.
 _TURN_TOLERANCE = 0.005
-# Two for the cone, three for each of six singular values but one for the last, and one for
-# self-motion.
-_OTHER_ROWS = 19
+# Two for the cone, one each for the singularity and self-motion.
+_OTHER_ROWS = 4
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
 STRAY, STRAY_ANGLE = 2.5e-4, 2.5e-3
 
@@ -357,51 +358,33 @@ def cone_rows(rows: Barriers, at: int, start: Start, cone: Cone) -> int:
 
 
 @kernel
-def _singular_row(
-    rows: Barriers, at: int, arm: Kinematics, left: Vector, right: Vector, value: float,
-    constants: RobotConstants,
-) -> int:
-    """Write a row that keeps uᵀ J v, of directions u and v; return the next row.
-
-    Args:
-        rows, at: where to.
-        arm: where J is from.
-        left, right: (m,) u and (n,) v, which turn along as the arm moves.
-        value: what may be given up of it.
-        constants: of the robot.
-    """
-    rows.gradient[at] = derivative_between(
-        left, arm.tip_jacobian, constants.scaling * right, arm.tip_rotation, constants.in_tool,
-        constants.rows)
-    rows.value[at], rows.kind[at] = max(value, 0.0), SINGULARITY
-    return at + 1
-
-
-@kernel
-def singularity_rows(
+def singularity_row(
     rows: Barriers, at: int, arm: Kinematics, parts: Decomposition, constants: RobotConstants,
     margin: float,
 ) -> int:
-    """Write rows that keep the singular values that are small; return the next row.
+    """Write a row that keeps the singular values, where one is small; return the next row.
 
-    With a singular value's directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v. Where two are equal
-    their directions are any of a plane, and turn at once: the smaller one alone would be another
-    one in each tick. So both have a row, and so have the two directions half way between them.
+    It keeps s = (Σ 1/σ_i²)^(−½) = 1/‖J⁺‖, a little less than the smallest. With σ_i's directions
+    u_i and v_i, ∂σ_i/∂q_k = u_iᵀ (∂J/∂q_k) v_i, so ∂s/∂q_k = Σ_i (s/σ_i)³ ∂σ_i/∂q_k. Where two
+    are equal, the smallest alone would turn its directions at once, and an arm that moves along
+    there would shake; s does not.
     """
-    sigma, left, right = parts.singular_values, parts.left, parts.right
-    half = math.sqrt(0.5)
-    for i in range(len(sigma) - 1, -1, -1):
-        if sigma[i] > _SINGULARITY_NEAR * margin:
-            break
-        at = _singular_row(
-            rows, at, arm, left[:, i].copy(), right[i], sigma[i] - margin, constants)
-        if i + 1 < len(sigma):
-            for way in (half, -half):
-                at = _singular_row(
-                    rows, at, arm, half * left[:, i] + way * left[:, i + 1],
-                    half * right[i] + way * right[i + 1],
-                    0.5 * (sigma[i] + sigma[i + 1]) - margin, constants)
-    return at
+    sigma = parts.singular_values
+    if sigma[-1] > _SINGULARITY_NEAR * margin:
+        return at
+    squared, least = 0.0, max(sigma[-1], 1e-12)
+    for i in range(len(sigma)):
+        squared += (least / max(sigma[i], least)) ** 2
+    mean = least / math.sqrt(squared)
+    for i in range(len(sigma)):
+        share = (mean / max(sigma[i], least)) ** 3
+        if share > _COUNTS:
+            rows.gradient[at] += share * derivative_between(
+                parts.left[:, i].copy(), arm.tip_jacobian, constants.scaling * parts.right[i],
+                arm.tip_rotation, constants.in_tool, constants.rows)
+    rows.value[at] = max(mean - margin, 0.0)
+    rows.kind[at] = SINGULARITY
+    return at + 1
 
 
 @compiled

@@ -129,6 +129,9 @@ _NONE = np.empty(0, dtype=np.intp)
 _NO_SPARE: Array = np.empty(0)
 # An acceleration that limits nothing [rad/s², m/s²].
 _AT_ONCE = 1e9
+# The tip comes to slide along something within about so long [s]. Which way that is turns with
+# each tick's gradients, and these with the motion: at once, the arm would shake.
+_TURNING_ASIDE = 0.05
 
 
 def safe_velocity(
@@ -235,7 +238,8 @@ def _slid(
     change = then.dq - previous
     step = limits.acceleration_max * dt
     next_one = previous + change * min(
-        1.0, float((step / np.maximum(np.abs(change), TOLERANCE)).min()))
+        dt / (dt + _TURNING_ASIDE),
+        float((step / np.maximum(np.abs(change), TOLERANCE)).min()))
     found, _ = solve(slide._replace(
         desired=next_one, twist=request.jacobian @ next_one + request.turning))
     if found is None:
