@@ -130,8 +130,9 @@ _NO_SPARE: Array = np.empty(0)
 # An acceleration that limits nothing [rad/s², m/s²].
 _AT_ONCE = 1e9
 # The tip comes to slide along something within about so long [s]. Which way that is turns with
-# each tick's gradients, and these with the motion: at once, the arm would shake.
-_TURNING_ASIDE = 0.05
+# each tick's gradients, and these with the motion: at once, the arm would shake. It speeds up with
+# that share of its acceleration limits, so that it need not swing past the place where it ends.
+_TURNING_ASIDE, _SPEEDING_UP = 0.05, 0.25
 
 
 def safe_velocity(
@@ -237,6 +238,8 @@ def _slid(
         return None
     change = then.dq - previous
     step = limits.acceleration_max * dt
+    if then.dq @ then.dq > previous @ previous:
+        step *= _SPEEDING_UP
     next_one = previous + change * min(
         dt / (dt + _TURNING_ASIDE),
         float((step / np.maximum(np.abs(change), TOLERANCE)).min()))
