@@ -543,7 +543,7 @@ class Planner:
     ) -> Filtered:
         """Return the admissible velocity nearest to a share of the wanted one (n,)."""
         p, task, limits = self._parameters, desired.task, self._limits
-        jacobian = start.arm.jacobian
+        jacobian, homogeneous = start.arm.jacobian, desired.motions[2]
         if desired.unseen_share < 1.0:
             limits = limits._replace(velocity_max=slowed_limits(
                 start.previous, limits.velocity_max, limits.acceleration_max,
@@ -554,11 +554,11 @@ class Planner:
             request = joints.request(start.arm.q, start.previous)
         elif leaves:
             twist = jacobian @ wanted
-            request = Request(wanted, jacobian, twist, twist, np.zeros_like(twist),
-                              start.arm.q, start.previous)
+            request = Request(wanted, np.zeros_like(wanted), jacobian, twist, twist,
+                              np.zeros_like(twist), start.arm.q, start.previous)
         else:
             request = Request(
-                wanted, jacobian, task.commanded + task.feedback, task.feedback,
+                wanted, homogeneous, jacobian, task.commanded + task.feedback, task.feedback,
                 task.turning, start.arm.q, start.previous)
         if share < 1.0:
             request = request._replace(desired=share * wanted, twist=share * request.twist)
