@@ -73,8 +73,10 @@ _GENTLE = 0.05
 _CATCHING_UP = 5.0
 # Null-space motion serves a tip that moves. Where less than this share of the command has been
 # followed lately, which is a mean over so long [s], there is less of it: an arm that cannot go on
-# comes to rest.
-_HARDLY, _LATELY = 0.1, 0.3
+# comes to rest. A little is left, for when it can again.
+_HARDLY, _LATELY, _LEAST_SHARE = 0.3, 0.3, 1e-4
+# Below this part of that share the filter is asked for less than the whole command, too.
+_FAINT = 0.01
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
 _RUSH = 0.1
 
@@ -103,7 +105,7 @@ class _LastTick(NamedTuple):
     @property
     def worth(self) -> float:
         """Share of the null-space motion that is worth its while."""
-        return min(self.share / _HARDLY, 1.0)
+        return min(max(self.share, _LEAST_SHARE) / _HARDLY, 1.0)
 
 
 class _Aim(NamedTuple):
@@ -339,7 +341,7 @@ class Planner:
             wanted = joints.wanted
         elif aim.aside is not None and leaves:
             wanted = aim.aside.velocity
-        result, share, slower = Filtered.untouched(wanted), 1.0, ''
+        result, share, slower, possible = Filtered.untouched(wanted), 1.0, '', 1.0
         if self._filtered and not leaves:
             share, slower = self._slow_down.share(wanted, scene, arm)
             if gently:
@@ -354,6 +356,8 @@ class Planner:
                 result = self._filter(
                     desired, wanted, barriers, start, joints, share, leaves=leaves)
             reason = self._reason(result, barriers, around, aim)
+            if result.stage in _ON_PATH and joints is None:
+                possible = result.scale
             result = result._replace(scale=share * result.scale)
         fallbacks = '; '.join(self._fallbacks(
             result, desired, aim.path is None and joints is None, crowded))
@@ -361,7 +365,7 @@ class Planner:
         reasons = (fallbacks, aim.says, slower, reason, '' if jerk_kept else _JERK_GIVES_WAY)
 
         # Remember: where the tip should be, and how fast the arm is.
-        self._remember(result, desired, start, joints is not None, target is not None)
+        self._remember(result, possible, desired, start, joints is not None, target is not None)
         return StepResult(
             self._smoothing.sent.copy(), least_norm, homogeneous, desired.factor,
             result.scale, result.stage, '; '.join(filter(None, reasons)), fallbacks,
@@ -411,12 +415,15 @@ class Planner:
             start._replace(reference=pose), commanded, joints, turn, None, None, 0.0, says)
 
     def _remember(
-        self, result: Filtered, desired: Wish, start: Start, by_joints: bool, by_target: bool,
+        self, result: Filtered, possible: float, desired: Wish, start: Start, by_joints: bool,
+        by_target: bool,
     ) -> None:
         """Note how a tick went.
 
         Args:
-            result, desired, start: of the tick.
+            result: of the tick.
+            possible: share of the command that could be followed, by an arm that nothing slows.
+            desired, start: of the tick.
             by_joints: whether the joints follow a way of theirs, rather than the tip its path.
             by_target: whether a target commands.
         """
@@ -440,9 +447,8 @@ class Planner:
             result.dq, reached, followed, leaving,
             _RUSH if result.stage is Stage.FORCED and desired.intruded and not (
                 self._margin_grew and self._watch.fastest == 0.0) else last.rush - dt,
-            last.share + (1.0 - math.exp(-dt / _LATELY)) * (
-                (result.scale if result.stage in _ON_PATH and not by_joints else 1.0)
-                - last.share), result.stage is Stage.SLIDING)
+            last.share + (1.0 - math.exp(-dt / _LATELY)) * (possible - last.share),
+            result.stage is Stage.SLIDING)
         # Where a margin has grown and nothing moves, jerk does not give way.
         self._margin_grew = self._margin_grew and desired.intruded
 
@@ -557,9 +563,11 @@ class Planner:
             request = Request(wanted, np.zeros_like(wanted), jacobian, twist, twist,
                               np.zeros_like(twist), start.arm.q, start.previous)
         else:
+            left_out = 1.0 - min(self._last.worth / _FAINT, 1.0)
             request = Request(
-                wanted, homogeneous, jacobian, task.commanded + task.feedback, task.feedback,
-                task.turning, start.arm.q, start.previous)
+                wanted - left_out * desired.motions[1], homogeneous, jacobian,
+                task.commanded + task.feedback, task.feedback, task.turning, start.arm.q,
+                start.previous)
         if share < 1.0:
             request = request._replace(desired=share * wanted, twist=share * request.twist)
         result = safe_velocity(
