@@ -10,14 +10,13 @@ reaches 90 % of the commanded speed each time. Machine code is kept from earlier
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 import json
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
-import sysconfig
 import tempfile
 import time
 from typing import Any, NamedTuple
@@ -31,19 +30,15 @@ from rich.console import Console
 from rich.table import Table
 from sensor_msgs.msg import JointState
 
-from redundant_planner.core.errors import PlannerError
+from benchmark.example_arms import arms
 from redundant_planner.core.machine_code_cache import machine_code_folder
 from redundant_planner.core.robot import model
-from redundant_planner.io.resources import read_text
-from redundant_planner.io.robot_files import likely_tip, load_robot
+from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.messages import positions_from_message, twist_to_message
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
 
 Array = npt.NDArray[np.float64]
 
-_ROBOTS = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share'
-           / 'example-robot-data' / 'robots')
-_JOINTS = (6, 7)
 # What is commanded [m/s], how often [Hz], for how long, and how long the arm may speed up [s].
 _SPEED, _RATE, _SECONDS, _SPEEDING_UP = 0.05, 50.0, 0.5, 0.3
 # At least this share of the commanded speed counts as moving.
@@ -80,21 +75,6 @@ class Minute(NamedTuple):
     def moves(self) -> bool:
         """Whether the tip follows along each axis."""
         return bool(self.shares) and min(self.shares) >= _SHARE
-
-
-def arms() -> Iterator[tuple[Path, int]]:
-    """Yield the URDFs of example-robot-data whose likely chain has six or seven joints.
-
-    With each comes the number of joints.
-    """
-    for path in sorted(_ROBOTS.rglob('*.urdf')):
-        try:
-            text = read_text(path)
-            robot = model.Robot(text, likely_tip(text), capsules=[], velocity_max=1.0)
-        except PlannerError:  # no arm at all: rotors, or joints that cannot move
-            continue
-        if robot.n in _JOINTS and 'collision' in text:
-            yield path, robot.n
 
 
 class _Operator:

@@ -2,7 +2,7 @@
 
 The motions are those of `benchmark.scenarios`, on an ideal arm, on one whose drives have lag and
 dead time, and on one whose encoders are noisy besides. All measures are of the commands, which
-is what a drive has to carry out.
+is what a drive has to carry out. `--edges` is about rest instead, see `benchmark.edges`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from rich.console import Console
 from rich.progress import track
 
+from benchmark.edges import edges, print_worst, VARIANTS
 from benchmark.generator import DURATION, generate, path_poses, Task
 from benchmark.judge import accelerations, jerks, Judge, limit_violation
 from benchmark.peers import library, missing, PEERS
@@ -203,31 +205,53 @@ def main(args: list[str] | None = None) -> int:
     """Run the benchmark; return the process's exit status."""
     parser = argparse.ArgumentParser(prog='benchmark.smoothness', description=__doc__)
     parser.add_argument('--count', type=int, default=10, metavar='N', help='motions')
-    parser.add_argument('--seed', type=int, default=41000, metavar='N', help='first seed')
+    parser.add_argument('--seed', type=int, metavar='N', help='first seed, 41000')
     parser.add_argument('--rate', type=int, default=250, metavar='HZ')
     parser.add_argument('--method', action='append', choices=[*OWN, *PEERS],
                         help="may be given more than once; this package's if not given")
+    parser.add_argument('--edges', action='store_true',
+                        help='whether arms come to rest under a constant twist; N postures of '
+                             'each arm, from seed 1')
+    parser.add_argument('--arm', action='append', default=[], metavar='NAME',
+                        help='of --edges, by the name of its URDF; may be given more than once')
+    parser.add_argument('--variant', action='append', choices=list(VARIANTS),
+                        help='of --edges; may be given more than once; all if not given')
     parser.add_argument('--drive', action='append', choices=list(DRIVES),
                         help='may be given more than once; all if not given')
     parser.add_argument('--jobs', type=int, default=1, help='processes')
     parser.add_argument('--json', type=Path, metavar='FILE')
     options = parser.parse_args(args)
+    result = _edges(options) if options.edges else _motions(options)
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=2) + '\n')
+    return 0
+
+
+def _edges(options: argparse.Namespace) -> dict[str, Any]:
+    result, found = edges(
+        options.count, 1 if options.seed is None else options.seed, names=options.arm,
+        variants=options.variant or list(VARIANTS), dt=1.0 / options.rate, jobs=options.jobs)
+    print_worst(found)
+    Console().print_json(data=result)
+    return result
+
+
+def _motions(options: argparse.Namespace) -> dict[str, Any]:
     for name in options.method or ():
         lack = missing(name) if name in PEERS else ''
         if lack:
             raise SystemExit(lack)
     methods, drives = options.method or list(OWN), options.drive or list(DRIVES)
-    seeds = range(options.seed, options.seed + options.count)
+    seed = 41000 if options.seed is None else options.seed
+    seeds = range(seed, seed + options.count)
     with Pool(options.jobs, prepare, (methods, drives, 1.0 / options.rate)) as pool:
         found = list(track(pool.imap(_run, seeds), 'motions', total=options.count))
     result = {drive: {name: summarise([f[drive, name] for f in found]) for name in methods}
               for drive in drives}
     for drive in drives:
-        print_table(f'{drive} arm, {options.count} motions from seed {options.seed}, '
+        print_table(f'{drive} arm, {options.count} motions from seed {seed}, '
                     f'{options.rate} Hz', result[drive])
-    if options.json:
-        options.json.write_text(json.dumps(result, indent=2) + '\n')
-    return 0
+    return result
 
 
 if __name__ == '__main__':

@@ -160,8 +160,8 @@ def sections(
             twist, arm.tip_jacobian, start, arm.tip_rotation, robot.in_tool, robot.rows),
         # From rest the arm cannot follow at once, so here there is one to solve.
         'filter with a QP': lambda: safe_velocity(
-            Request(np.linalg.pinv(arm.jacobian) @ twist, arm.jacobian, twist, np.zeros(robot.m),
-                    np.zeros(robot.m), start, at_rest),
+            Request(np.linalg.pinv(arm.jacobian) @ twist, at_rest, arm.jacobian, twist,
+                    np.zeros(robot.m), np.zeros(robot.m), start, at_rest),
             limits, barriers_of(near.gradient, near.rate, near.normalized_distance),
             weights=np.ones(robot.n), gain=p.clearance_gain, may_yield=False,
             may_slide=False, dt=_DT),

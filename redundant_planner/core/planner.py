@@ -66,10 +66,18 @@ _BACK = 'the arm comes back to its path'
 _JERK_GIVES_WAY = 'jerk gives way to a clearance'
 # Stages that keep every clearance with the path kept: they may be those of a slower arm.
 _SLOWER_STAGES = (Stage.SCALED, Stage.SLIDING, Stage.BRAKING)
+# Stages that tell how much of a command can be followed.
+_ON_PATH = (*_SLOWER_STAGES, Stage.STOPPED)
 # Fastest joint of an arm that moves gently [rad/s, m/s].
 _GENTLE = 0.05
 # How fast the reference pose catches up with a tip that evades along the path [1/s].
 _CATCHING_UP = 5.0
+# Null-space motion serves a tip that moves. Where less than this share of the command has been
+# followed lately, which is a mean over so long [s], there is less of it: an arm that cannot go on
+# comes to rest. A little is left, for when it can again.
+_HARDLY, _LATELY, _LEAST_SHARE = 0.3, 0.3, 1e-4
+# Below this part of that share the filter is asked for less than the whole command, too.
+_FAINT = 0.01
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
 _RUSH = 0.1
 
@@ -83,6 +91,8 @@ class _LastTick(NamedTuple):
         followed: (m,) the part of the path that was followed.
         leaving: whether the arm is leaving its path to evade something.
         rush: for how long clearance still goes before jerk [s].
+        share: of the command that has been followed lately.
+        slid: whether the tip turned aside from something at rest.
     """
 
     dq: Array
@@ -90,6 +100,13 @@ class _LastTick(NamedTuple):
     followed: Array
     leaving: bool
     rush: float
+    share: float
+    slid: bool
+
+    @property
+    def worth(self) -> float:
+        """Share of the null-space motion that is worth its while."""
+        return min(max(self.share, _LEAST_SHARE) / _HARDLY, 1.0)
 
 
 class _Aim(NamedTuple):
@@ -237,7 +254,7 @@ class Planner:
 
     def _at_rest(self) -> _LastTick:
         return _LastTick(
-            np.zeros(self.robot.n), None, np.zeros(self.robot.m), False, 0.0)
+            np.zeros(self.robot.n), None, np.zeros(self.robot.m), False, 0.0, 1.0, False)
 
     @property
     def reference(self) -> Pose | None:
@@ -318,7 +335,8 @@ class Planner:
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(
             around.maps, around.start, around.end, around.range, aim.turn,
-            last.dq if aim.path is None else aim.path, aim.guided, self._observer.strayed)
+            last.dq if aim.path is None else aim.path, aim.guided, last.worth,
+            self._observer.strayed)
         desired = wish(start, world, self._setup)
 
         # Guard: every limit and barrier, docs/safety.md.
@@ -329,7 +347,7 @@ class Planner:
             wanted = joints.wanted
         elif aim.aside is not None and leaves:
             wanted = aim.aside.velocity
-        result, share, slower = Filtered.untouched(wanted), 1.0, ''
+        result, share, slower, possible = Filtered.untouched(wanted), 1.0, '', 1.0
         if self._filtered and not leaves:
             share, slower = self._slow_down.share(wanted, scene, arm)
             if gently:
@@ -344,6 +362,8 @@ class Planner:
                 result = self._filter(
                     desired, wanted, barriers, start, joints, share, leaves=leaves)
             reason = self._reason(result, barriers, around, aim)
+            if result.stage in _ON_PATH and joints is None:
+                possible = result.scale
             result = result._replace(scale=share * result.scale)
         fallbacks = '; '.join(self._fallbacks(
             result, desired, aim.path is None and joints is None, crowded))
@@ -351,7 +371,7 @@ class Planner:
         reasons = (fallbacks, aim.says, slower, reason, '' if jerk_kept else _JERK_GIVES_WAY)
 
         # Remember: where the tip should be, and how fast the arm is.
-        self._remember(result, desired, start, joints is not None, target is not None)
+        self._remember(result, possible, desired, start, joints is not None, target is not None)
         return StepResult(
             self._smoothing.sent.copy(), least_norm, homogeneous, desired.factor,
             result.scale, result.stage, '; '.join(filter(None, reasons)), fallbacks,
@@ -400,12 +420,15 @@ class Planner:
             start._replace(reference=pose), commanded, joints, turn, None, None, 0.0, says)
 
     def _remember(
-        self, result: Filtered, desired: Wish, start: Start, by_joints: bool, by_target: bool,
+        self, result: Filtered, possible: float, desired: Wish, start: Start, by_joints: bool,
+        by_target: bool,
     ) -> None:
         """Note how a tick went.
 
         Args:
-            result, desired, start: of the tick.
+            result: of the tick.
+            possible: share of the command that could be followed, by an arm that nothing slows.
+            desired, start: of the tick.
             by_joints: whether the joints follow a way of theirs, rather than the tip its path.
             by_target: whether a target commands.
         """
@@ -430,7 +453,9 @@ class Planner:
         self._last = _LastTick(
             result.dq, reached, followed, leaving,
             _RUSH if result.stage is Stage.FORCED and desired.intruded and not (
-                self._margin_grew and self._watch.fastest == 0.0) else last.rush - dt)
+                self._margin_grew and self._watch.fastest == 0.0) else last.rush - dt,
+            last.share + (1.0 - math.exp(-dt / _LATELY)) * (possible - last.share),
+            result.stage is Stage.SLIDING)
         # Where a margin has grown and nothing moves, jerk does not give way.
         self._margin_grew = self._margin_grew and desired.intruded
 
@@ -531,7 +556,7 @@ class Planner:
     ) -> Filtered:
         """Return the admissible velocity nearest to a share of the wanted one (n,)."""
         p, task, limits = self._parameters, desired.task, self._limits
-        jacobian = start.arm.jacobian
+        jacobian, homogeneous = start.arm.jacobian, desired.motions[2]
         if desired.unseen_share < 1.0:
             limits = limits._replace(velocity_max=slowed_limits(
                 start.previous, limits.velocity_max, limits.acceleration_max,
@@ -542,16 +567,19 @@ class Planner:
             request = joints.request(start.arm.q, start.previous)
         elif leaves:
             twist = jacobian @ wanted
-            request = Request(wanted, jacobian, twist, twist, np.zeros_like(twist),
-                              start.arm.q, start.previous)
+            request = Request(wanted, np.zeros_like(wanted), jacobian, twist, twist,
+                              np.zeros_like(twist), start.arm.q, start.previous)
         else:
+            left_out = 1.0 - min(self._last.worth / _FAINT, 1.0)
             request = Request(
-                wanted, jacobian, task.commanded + task.feedback, task.feedback,
-                task.turning, start.arm.q, start.previous)
+                wanted - left_out * desired.motions[1], homogeneous, jacobian,
+                task.commanded + task.feedback, task.feedback, task.turning, start.arm.q,
+                start.previous)
         if share < 1.0:
             request = request._replace(desired=share * wanted, twist=share * request.twist)
         result = safe_velocity(
             request, limits, barriers, weights=self._weights, gain=p.clearance_gain,
+            price=1.0 if joints is not None else self._last.worth, slides=self._last.slid,
             may_yield=leaves or (desired.intruded and p.path_priority != 'strict'),
             may_slide=p.path_priority == 'slide' and joints is None and not leaves and bool(
                 start.command.any()), leaves=leaves, dt=start.dt)

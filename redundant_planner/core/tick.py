@@ -74,6 +74,7 @@ class World(NamedTuple):
         turn: of the first joints, out of an obstacle's course.
         path: (n,) velocity of the joint path ahead; anything where it is not followed.
         guided: share of the homogeneous solution that follows it.
+        worth: share of the rest of it that is worth its while, see `Planner`.
         strayed: (n,) see `JointObserver`.
     """
 
@@ -84,6 +85,7 @@ class World(NamedTuple):
     turn: Turn
     path: Vector
     guided: float
+    worth: float
     strayed: Vector
 
 
@@ -288,7 +290,7 @@ def _wish(
         projected = null_space.project(parts, gradient * scaling)
         factor = gains.criteria_k_fixed if gains.fixed else null_space.dynamic_factor(
             gains.criteria_k_alpha, least.motion, projected)
-        homogeneous = (1.0 - world.guided) * factor * projected
+        homogeneous = (1.0 - world.guided) * world.worth * factor * projected
     if world.guided > 0.0:
         homogeneous += world.guided * null_space.project(parts, world.path / scaling)
     dq, least_norm = motions[0], motions[1]

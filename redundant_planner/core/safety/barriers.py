@@ -43,6 +43,10 @@ OBSTACLE, TURN, LINK, CONE, SINGULARITY, SELF_MOTION = range(6)
 _FOUND_INSIDE = 1e-3
 # The singularity barrier is looked at below this multiple of its margin.
 _SINGULARITY_NEAR = 5.0
+# A singular value of a smaller share in its gradient costs more time than it tells.
+_COUNTS = 1e-4
+# Within that share of the margin about 0 the sign of a singular value does not count.
+_ROUNDING = 0.25
 # Share of the cone's angle that is kept free, and of the rest that counts. What has drifted out by
 # no more than this comes back; beyond twice that it counts as found outside [rad].
 _SPARE_IN_CONE, _CAUTION_IN_CONE, _DRIFT = 0.03, 0.4, 0.01
@@ -360,17 +364,28 @@ def singularity_row(
     rows: Barriers, at: int, arm: Kinematics, parts: Decomposition, constants: RobotConstants,
     margin: float,
 ) -> int:
-    """Write a row that keeps the smallest singular value, where it is small; return the next row.
+    """Write a row that keeps the singular values, where one is small; return the next row.
 
-    With the singular value's directions u and v, ∂σ/∂q_k = uᵀ (∂J/∂q_k) v.
+    It keeps s = (Σ 1/(σ_i² + ε²))^(−½), which is about √(σ² + ε²) where one value σ is small.
+    With σ_i's directions u_i and v_i, ∂σ_i/∂q_k = uᵢᵀ (∂J/∂q_k) v_i, and ∂s/∂q_k =
+    Σ_i s³ σ_i / (σ_i² + ε²)² ∂σ_i/∂q_k. The smallest value's own gradient jumps where two are
+    equal, and in a singularity itself; an arm that moves along there would shake. That of s does
+    not (docs/safety.md).
     """
-    smallest = parts.singular_values[-1]
-    if smallest > _SINGULARITY_NEAR * margin:
+    sigma, rounding = parts.singular_values, _ROUNDING * margin
+    if margin == 0.0 or sigma[-1] > _SINGULARITY_NEAR * margin:
         return at
-    rows.gradient[at] = derivative_between(
-        parts.left[:, -1], arm.tip_jacobian, constants.scaling * parts.right[-1],
-        arm.tip_rotation, constants.in_tool, constants.rows)
-    rows.value[at] = max(smallest - margin, 0.0)
+    squares, total = sigma * sigma + rounding * rounding, 0.0
+    for i in range(len(sigma)):
+        total += 1.0 / squares[i]
+    mean = 1.0 / math.sqrt(total)
+    for i in range(len(sigma)):
+        share = mean ** 3 * sigma[i] / squares[i] ** 2
+        if share > _COUNTS:
+            rows.gradient[at] += share * derivative_between(
+                parts.left[:, i].copy(), arm.tip_jacobian, constants.scaling * parts.right[i],
+                arm.tip_rotation, constants.in_tool, constants.rows)
+    rows.value[at] = max(mean - math.sqrt(margin * margin + rounding * rounding), 0.0)
     rows.kind[at] = SINGULARITY
     return at + 1
 

@@ -32,6 +32,8 @@ _OWN_SLACKS = 8
 # Price of a residual twist where the path must not give way: it must not serve as a way around.
 _PRICE_RESIDUAL_STRICT = 1e8
 _UNBOUNDED = 1e30
+# How far the shares s and r of a twist may lie outside of 0 to 1.
+_ROUND_OFF = 1e-6
 # Multipliers below this are round-off, not a constraint that acts.
 _ACTIVE = 1e-9
 # Iterations that a stage may take, and one whose barriers have slacks. In hard scenes one in a
@@ -58,6 +60,7 @@ class StageProblem(NamedTuple):
         bounds: (b,) b of ∇h·q̇ ≥ b.
         spare: (b,) how much of a bound is cheap to give up; only looked at with slacks.
         weights: (n,) diagonal of W.
+        price: of the whole twist, as a share of `_PRICE_SCALE`.
         may_keep_residual: whether a share of the residual twist may remain.
         slack: whether barriers may give way.
         shared: whether all of them share one slack: fewer variables, and a solution sooner.
@@ -76,6 +79,7 @@ class StageProblem(NamedTuple):
     bounds: Vector
     spare: Vector
     weights: Vector
+    price: float
     may_keep_residual: bool
     slack: bool
     shared: bool
@@ -161,7 +165,7 @@ def _matrices(
         squared_speed += problem.weights[i] * problem.desired[i] * problem.desired[i]
     for i in range(n, size):
         hessian[i, i] = 1e-3
-    linear[n] = -_PRICE_SCALE * squared_speed - 1e-3
+    linear[n] = -problem.price * _PRICE_SCALE * squared_speed - 1e-3
     if problem.may_keep_residual:
         linear[n + 1] = (_PRICE_RESIDUAL_STRICT if problem.slack and not problem.path_gives_way
                          else _PRICE_RESIDUAL)
@@ -176,9 +180,10 @@ def _matrices(
     high, low = np.full(size + m + rows, _UNBOUNDED), np.zeros(size + m + rows)
     sense = np.zeros(size + m + rows, dtype=np.int32)
     for i in range(size):
-        # Proportional braking alone, r = 1, may be all there is: round-off must not shut it out.
-        high[i] = 1.0 + 1e-6
-    high[n] = 1.0
+        # Proportional braking alone, r = 1, may be all there is: likewise.
+        high[i] = 1.0 + _ROUND_OFF
+    # An arm at rest on a barrier has s = 0 and nothing else: round-off must not shut that out.
+    low[n], high[n] = -_ROUND_OFF, 1.0
     if problem.whole:
         low[n] = 1.0
     for i in range(n):

@@ -65,6 +65,8 @@ class _Rule(NamedTuple):
 _RULES = (
     _Rule(Stage.SCALED, brakes=False, residual=False, path=False, soft=True, slack=False),
     _Rule(Stage.BRAKING, brakes=True, residual=True, path=False, soft=True, slack=False),
+    # Rows that are not urgent turn while the arm moves: it may always brake on its path.
+    _Rule(Stage.BRAKING, brakes=True, residual=True, path=False, soft=False, slack=False),
     # Only where something moves into the arm or was found too close to it, if that is allowed.
     _Rule(Stage.YIELDING, brakes=False, residual=True, path=True, soft=False, slack=False),
     _Rule(Stage.FORCED, brakes=False, residual=True, path=True, soft=False, slack=True),
@@ -78,6 +80,7 @@ class Request(NamedTuple):
 
     Attributes:
         desired: (n,) what the method asks for.
+        aside: (n,) the null-space part of it.
         jacobian: (m, n).
         twist: (m,) ẋ, feedback included.
         feedback: (m,) the part of ẋ that leads back to the path: the arm may return where it
@@ -88,6 +91,7 @@ class Request(NamedTuple):
     """
 
     desired: Array
+    aside: Array
     jacobian: Array
     twist: Array
     feedback: Array
@@ -125,11 +129,21 @@ class Filtered(NamedTuple):
 
 _NONE = np.empty(0, dtype=np.intp)
 _NO_SPARE: Array = np.empty(0)
+# An acceleration that limits nothing [rad/s², m/s²].
+_AT_ONCE = 1e9
+# The tip comes to slide along something within about so long [s]. Which way that is turns with
+# each tick's gradients, and these with the motion: at once, the arm would shake. It speeds up with
+# that share of its acceleration limits, so that it need not swing past the place where it ends.
+_TURNING_ASIDE, _SPEEDING_UP = 0.05, 0.25
+# How many times dearer joint motion is where the tip slides. With the path's price, 1e4, that is
+# 0.05² of the tip's squared deviation [m²]: beside a singularity joints would race for little.
+_SLIDING_COST = 25.0
 
 
 def safe_velocity(
     request: Request, limits: Limits, barriers: Barriers, *, weights: Array, gain: float,
-    may_yield: bool, may_slide: bool, dt: float, leaves: bool = False,
+    may_yield: bool, may_slide: bool, dt: float, slides: bool = False, leaves: bool = False,
+    price: float = 1.0,
 ) -> Filtered:
     """Return the admissible joint velocity nearest to the desired one.
 
@@ -141,9 +155,13 @@ def safe_velocity(
         gain: barrier gain [1/s].
         may_yield: whether the path may give way to a barrier.
         may_slide: whether the direction may, rather than the speed.
+        slides: whether it did in the last tick. It then goes on to, until the speed need not
+            give way: joints at their limits hold the speed back too, and would take turns with
+            the barriers.
         dt: [s].
         leaves: whether what is asked for leaves the path already: then nothing is to be scaled,
             and what the barriers leave of it comes next to it.
+        price: of the twist, as a share of what it is worth at most.
     """
     previous = request.previous
     stop = stopping_time(previous, limits.acceleration_max)
@@ -159,11 +177,13 @@ def safe_velocity(
     for rule in _RULES:
         # Speeding up would cost an acceleration limit later, if none can be kept now: brake.
         brakes = rule.brakes or not kept
-        if (rule.stage is Stage.SCALED and not kept) or (
+        rows = len(barriers.value) if rule.soft else urgent_rows(barriers)
+        again = rule.stage is Stage.BRAKING and not rule.soft and (
+            may_yield or rows == len(barriers.value))
+        if again or (rule.stage is Stage.SCALED and not kept) or (
                 rule.stage is Stage.YIELDING and not may_yield) or (
                 leaves and kept and not rule.path):
             continue
-        rows = len(barriers.value) if rule.soft else urgent_rows(barriers)
         until = shorter if rule.brakes else longer
         gradient = barriers.gradient[:rows]
         bounds = barrier_bounds(barriers, gain, until, dt)[:rows]
@@ -172,14 +192,15 @@ def safe_velocity(
             request.turning, residual, low if brakes else lower, high if brakes else upper,
             gradient, bounds,
             barrier_rate(gain, until, dt) * spare[:rows] if rule.slack else _NO_SPARE,
-            weights, rule.residual and not leaves, rule.slack, rule.shared,
+            weights, price, rule.residual and not leaves, rule.slack, rule.shared,
             rule.path and may_yield, leaves and rule.path)
         found, out_of_iterations = solve(problem)
         if out_of_iterations and rule.stage not in cut_short:
             cut_short.append(rule.stage)
         if may_slide and rows and rule.stage is Stage.SCALED and not (
-                found is not None and (found.scale >= 1.0 or not len(found.pairs))):
-            slid = _slid(problem, previous, limits.acceleration_max * dt)
+                found is not None and (
+                    found.scale >= 1.0 or not (slides or len(found.pairs)))):
+            slid = _slid(problem, request, limits, longer, dt)
             if slid is not None:
                 return slid
         if found is not None:
@@ -198,28 +219,45 @@ def safe_velocity(
     return Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE, tuple(cut_short))
 
 
-def _slid(problem: StageProblem, previous: Array, step: Array) -> Filtered | None:
+def _slid(
+    problem: StageProblem, request: Request, limits: Limits, stop: float, dt: float,
+) -> Filtered | None:
     """Return a velocity that turns aside from what is in the way, None where there is none.
 
-    As fast as the arm could go without barriers, and as near to that twist as these allow.
+    That is towards the velocity that comes nearest to the twist within all that holds in the long
+    run. Joints go there in proportion, so that the arm neither swings past what it slides to nor
+    turns on its way.
 
     Args:
         problem: of the stage in which the speed alone gives way.
-        previous: (n,) velocity of the last tick.
-        step: (n,) how much a velocity may change in a tick.
+        request, limits, dt: see `safe_velocity`.
+        stop: stopping time T that the next velocity may have [s].
     """
-    # In proportion, so that the arm speeds up along the twist.
-    change = problem.desired - previous
-    share = min(1.0, float((step / np.maximum(np.abs(change), TOLERANCE)).min()))
-    twist = problem.jacobian @ (previous + share * change) + problem.turning
-    found, _ = solve(problem._replace(twist=twist, path_gives_way=True, whole=True))
+    previous = request.previous
+    lower, upper, _ = bounds_of_velocity(
+        request.q, previous, limits._replace(acceleration_max=np.full(len(previous), _AT_ONCE)),
+        stop, dt)
+    slide = problem._replace(path_gives_way=True, whole=True)
+    then, _ = solve(slide._replace(
+        desired=request.aside, weights=_SLIDING_COST * problem.weights, lower=lower, upper=upper))
+    if then is None:
+        return None
+    change = then.dq - previous
+    step = limits.acceleration_max * dt
+    if then.dq @ then.dq > previous @ previous:
+        step *= _SPEEDING_UP
+    next_one = previous + change * min(
+        dt / (dt + _TURNING_ASIDE),
+        float((step / np.maximum(np.abs(change), TOLERANCE)).min()))
+    found, _ = solve(slide._replace(
+        desired=next_one, twist=request.jacobian @ next_one + request.turning))
     if found is None:
         return None
     squared = float(problem.twist @ problem.twist)
     along = float((problem.jacobian @ found.dq) @ problem.twist)
     return Filtered(
         found.dq, min(max(along / squared, 0.0), 1.0) if squared > 0.0 else 0.0, 0.0,
-        Stage.SLIDING, found.joints, found.pairs)
+        Stage.SLIDING, then.joints, then.pairs)
 
 
 def _braking_bounds(

@@ -85,7 +85,8 @@ class JointMotion(NamedTuple):
         """
         n = len(q)
         return Request(
-            self.wanted, np.eye(n), self.wanted, self.feedback, np.zeros(n), q, previous)
+            self.wanted, np.zeros(n), np.eye(n), self.wanted, self.feedback, np.zeros(n), q,
+            previous)
 
 
 class Stretch(Enum):

@@ -23,7 +23,7 @@ NO_BARRIERS = barriers_of(np.empty((0, N)), np.empty(0), np.empty(0))
 
 def filtered(desired, jacobian, twist, q, previous, barriers=NO_BARRIERS, may_yield=False):
     still = np.zeros(len(twist))
-    request = Request(desired, jacobian, twist, still, still, q, previous)
+    request = Request(desired, np.zeros_like(desired), jacobian, twist, still, still, q, previous)
     return safe_velocity(request, LIMITS, barriers, weights=np.ones(N), gain=10.0,
                          may_yield=may_yield, may_slide=False, dt=DT)
 

@@ -8,7 +8,7 @@ from conftest import make_paper_arm, PANDA_URDF, planar_urdf, random_postures
 import numpy as np
 import pytest
 
-from benchmark.first_minute import arms
+from benchmark.example_arms import arms, load_arm
 from redundant_planner.core.constants import robot_constants
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
@@ -16,10 +16,7 @@ from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.target.start_posture import start_posture
-from redundant_planner.io.parameter_files import urdf_text
-from redundant_planner.io.robot_files import build_robot
 from redundant_planner.simulation import simulate
-from redundant_planner.tools.show_robot import described_by_urdf
 
 ARMS = {path.stem: path for path, _ in arms()}
 DEFAULTS = PlannerParameters()
@@ -28,8 +25,7 @@ SPEED, DT = 0.05, 0.004
 
 @functools.cache
 def arm_named(name: str) -> Robot:
-    parameters = described_by_urdf(str(ARMS[name]), '', '', lambda _: None).parameters
-    return build_robot(parameters, urdf_text(parameters), {})
+    return load_arm(ARMS[name])
 
 
 def manipulability(robot, q):
