@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import functools
 
 from conftest import make_panda, PANDA_READY
 import numpy as np
 import pytest
 
-from benchmark.edges import Arm, driven, rest_of, start_of, VARIANTS
+from benchmark.edges import Arm, driven, Rest, rest_of, start_of, summarise, VARIANTS
 from benchmark.example_arms import arms, load_arm
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -47,6 +48,17 @@ def test_an_arm_that_cannot_go_on_is_at_rest(name, number, way, variant):
     assert end.reversals <= 4
     assert end.violation == 0.0
     assert end.clearance > -1e-6
+
+
+def test_only_arms_that_were_stopped_count():
+    rest = Rest(True, 3, 1e-4, 1e-4, 0.01, 0.0, 0.02, '')
+    creeping = replace(rest, travel=0.1, clearance=0.01)
+    turning = replace(rest, stopped=False, reversals=50, tip_angle=2.0, travel=2.0)
+    assert creeping.restless and not rest.restless and not turning.restless
+    found = summarise([rest, creeping, turning])
+    assert (found['runs'], found['restless'], found['moving']) == (2, 1, 1)
+    assert (found['reversals_max'], found['reversals_max_moving']) == (3, 50)
+    assert found['closest_mm'] == 10.0
 
 
 @pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
