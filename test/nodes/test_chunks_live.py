@@ -139,8 +139,8 @@ def test_a_policy_of_joints_and_a_trajectory_and_their_bag_replays(ros, tmp_path
     # Back along a planned trajectory that begins as it arrives.
     t = np.linspace(0.0, 2.0, 21)
     here = ros.state(NAMES)
-    ros.progress.clear()
     ros.trajectory.publish(trajectory(t, here + smooth(t / 2.0) * (PANDA_READY - here)))
+    ros.wait_for(lambda: state(ros) == 'moving', 'motion')  # what was said before is of the policy
     ros.wait_for(lambda: state(ros) == 'reached', 'reached')
     np.testing.assert_allclose(ros.state(NAMES), PANDA_READY, atol=1e-3)
     assert value(ros, 'behind [s]') < 0.5 and value(ros, 'beside the chunk [m, rad]') < 1e-3
