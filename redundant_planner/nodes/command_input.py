@@ -240,7 +240,7 @@ class CommandInput:
         except StateError as error:
             self._warn(f'target_path ignored: {error}')
             return
-        self._target, self._from_tip, self._news = chunk, kind == 'tool', []
+        self._take_chunk(chunk, from_tip=kind == 'tool')
 
     def on_trajectory(self, raw: bytes, robot: Robot, posture: Array | None) -> None:
         """Take a serialised chunk of joint positions, see `on_joint_target`."""
@@ -248,9 +248,16 @@ class CommandInput:
             if posture is None:
                 raise StateError('nothing was heard on joint_states yet')
             chunk = self._chunk(read_trajectory(raw, robot, posture))
-            self._target, self._from_tip, self._news = checked_target(chunk, robot), False, []
+            checked_target(chunk, robot)
         except StateError as error:
             self._warn(f'target_trajectory ignored: {error}')
+            return
+        self._take_chunk(chunk)
+
+    def _take_chunk(self, chunk: Chunk, *, from_tip: bool = False) -> None:
+        """Take a chunk; targets that came before it in the same tick do not count."""
+        self._target, self._from_tip, self._target_came = chunk, from_tip, -np.inf
+        self._news = []
 
     def _chunk(self, read: ReadChunk) -> Chunk:
         """Return a chunk that has been read.
