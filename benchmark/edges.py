@@ -228,19 +228,17 @@ def cases(count: int, seed: int, names: list[str], variants: list[str]) -> Itera
 
 
 def summarise(found: list[Rest]) -> dict[str, Any]:
-    """Return the JSON entry of some runs.
-
-    Figures are of those that had been stopped by half-time; `moving` are the others.
-    """
-    stopped = [rest for rest in found if rest.stopped]
-    counts = [rest.reversals for rest in stopped] or [0]
+    """Return the JSON entry of some runs; `stopped` are those stopped by half-time."""
+    counts = [rest.reversals for rest in found]
+    stopped = [rest.reversals for rest in found if rest.stopped] or [0]
     return {
-        'runs': len(stopped),
+        'runs': len(found),
         'reversals_p99': float(np.percentile(counts, 99)),
         'reversals_max': max(counts),
-        'restless': sum(rest.restless for rest in stopped),
-        'moving': len(found) - len(stopped),
-        'reversals_max_moving': max((r.reversals for r in found if not r.stopped), default=0),
+        'restless': sum(rest.restless for rest in found),
+        'stopped': sum(rest.stopped for rest in found),
+        'reversals_p99_stopped': float(np.percentile(stopped, 99)),
+        'reversals_max_stopped': max(stopped),
         'violations': sum(rest.violation > 0.0 for rest in found),
         'closest_mm': 1e3 * min(rest.clearance for rest in found),
     }
@@ -273,7 +271,7 @@ def print_worst(found: list[tuple[Case, Rest]]) -> None:
     for heading in ('run', 'reversals', 'tip [mm]', 'tip [mrad]', 'joint [rad]', 'reason'):
         table.add_column(heading)
     for case, rest in sorted(
-            (f for f in found if f[1].stopped), reverse=True,
+            found, reverse=True,
             key=lambda f: (f[1].restless, f[1].reversals))[:_SHOWN]:
         table.add_row(str(case), str(rest.reversals), f'{1e3 * rest.tip:.2f}',
                       f'{1e3 * rest.tip_angle:.2f}', f'{rest.travel:.3f}', rest.reason)

@@ -50,14 +50,14 @@ def test_an_arm_that_cannot_go_on_is_at_rest(name, number, way, variant):
     assert end.clearance > -1e-6
 
 
-def test_only_arms_that_were_stopped_count():
+def test_what_counts_of_arms_that_were_stopped_and_of_others():
     rest = Rest(True, 3, 1e-4, 1e-4, 0.01, 0.0, 0.02, '')
     creeping = replace(rest, travel=0.1, clearance=0.01)
     turning = replace(rest, stopped=False, reversals=50, tip_angle=2.0, travel=2.0)
     assert creeping.restless and not rest.restless and not turning.restless
     found = summarise([rest, creeping, turning])
-    assert (found['runs'], found['restless'], found['moving']) == (2, 1, 1)
-    assert (found['reversals_max'], found['reversals_max_moving']) == (3, 50)
+    assert (found['runs'], found['restless'], found['stopped']) == (3, 1, 2)
+    assert (found['reversals_max'], found['reversals_max_stopped']) == (50, 3)
     assert found['closest_mm'] == 10.0
 
 
