@@ -52,7 +52,7 @@ class FaultyPlannerNode(PlannerNode):
         timer = Node.create_timer(self, 0.0, escape)
 
     def break_tick(self):
-        def step(*arguments):
+        def step(*arguments, **more):
             raise ZeroDivisionError('a bad tick')
 
         self.loop.planner.step = step
@@ -60,7 +60,7 @@ class FaultyPlannerNode(PlannerNode):
     def break_nan(self):
         planner = self.loop.planner
         good = planner.step
-        planner.step = lambda *arguments: good(*arguments)._replace(
+        planner.step = lambda *arguments, **more: good(*arguments, **more)._replace(
             dq=np.full(planner.robot.n, np.nan))
 
     def break_braking(self):

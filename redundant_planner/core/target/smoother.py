@@ -34,7 +34,10 @@ _BANDWIDTH = 3.5
 # slower by so many lags, and the filter is slower by such a share; with less noise, by less. It is
 # known from fourth differences of samples that are evenly apart, whose variance is 70 times its
 # own, averaged over some samples.
-_NOISE, _NOISE_RATE, _MORE_MEMORY, _SLOWER, _EVENLY = 0.013, 30.0, 1.5, 0.75, 1.5
+_NOISE, _NOISE_RATE, _MORE_MEMORY, _SLOWER, _EVENLY = 0.011, 30.0, 1.5, 0.75, 1.5
+# Where many samples tell the same as few within so many times the noise, many count; where they
+# are twice as far apart, few: the signal bends.
+_AGREES = 3.0
 _DIFFERENCES, _VARIANCE, _SAMPLES = np.array((1.0, -4.0, 6.0, -4.0, 1.0)), 70.0, 20.0
 # Numbers of the cubic.
 _ORDER = 4
@@ -163,7 +166,7 @@ class Smoother:
         before = self._behind
         wished = self._lag and max(self._lag, self._delay + _GAPS * self._gaps.value)
         self._behind += _bounded(wished - before, pace)
-        rate = (1.0 - _SLOWER * self._noisy) * _BANDWIDTH / max(
+        rate = (1.0 - _SLOWER * self._slower) * _BANDWIDTH / max(
             self._scale, _GAPS * self._gaps.value)
         reference = self._reference(now - self._behind)
         # The filter's error is that against the reference of now at the time of then.
@@ -178,7 +181,7 @@ class Smoother:
     def _begin(self, first: Sample) -> None:
         """Begin anew with a sample."""
         self._used: deque[Sample] = deque([first], maxlen=_MOST)
-        self._variance, self._noisy = 0.0, 0.0
+        self._variance, self._noisy, self._slower = 0.0, 0.0, 0.0
         self._off: deque[float] = deque(maxlen=_RECENT)
         self._doubtful: Sample | None = None
         self._refit()
@@ -234,21 +237,43 @@ class Smoother:
         self._noisy = min(max(self._scale / gap - _GAPS, 0.0), 1.0) * min(noise, 1.0)
 
     def _refit(self) -> None:
-        """Find the cubic through the samples used, at the newest one."""
+        """Find the cubic through the samples used, at the newest one.
+
+        Of noisy samples more are averaged, as long as that tells the same as few, within noise.
+        """
         times = np.array([sample.time for sample in self._used]) - self._used[-1].time
+        values = np.array([sample.value for sample in self._used])
         spacing = -times[0] / max(len(times) - 1, 1)
-        memory = self._noisy * _MORE_MEMORY * self._scale + max(
-            _MEMORY * max(self._scale, _GAPS * spacing) - _LESS_MEMORY * spacing, _INSTANT)
-        order = min(len(times), _ORDER)
-        count = max(int((times > memory * math.log(_FADED)).sum()), order)
-        values = np.array([sample.value for sample in self._used])[-count:]
-        powers = np.vander(times[-count:] / memory, order, increasing=True)
-        weighted = np.exp(times[-count:] / memory)[:, None] * powers
-        found = np.zeros((4, values.shape[1]))
-        found[:order] = np.linalg.lstsq(
-            weighted.T @ powers, weighted.T @ values, rcond=None)[0]
-        self._fit = Estimate(found[0], found[1] / memory, 2.0 * found[2] / memory**2,
-                             6.0 * found[3] / memory**3)
+        few = max(_MEMORY * max(self._scale, _GAPS * spacing) - _LESS_MEMORY * spacing, _INSTANT)
+        self._fit, self._slower = _cubic(times, values, few), 0.0
+        if self._noisy == 0.0:
+            return
+        many = _cubic(times, values, few + self._noisy * _MORE_MEMORY * self._scale)
+        behind = self._delay - self._behind
+        apart = float((np.abs(many.after(behind).value - self._fit.after(behind).value)
+                       / self._gate).max()) / math.sqrt(self._variance)
+        trust = min(max(2.0 - apart / _AGREES, 0.0), 1.0)
+        self._slower = trust * self._noisy
+        self._fit = Estimate(*(
+            trust * a + (1.0 - trust) * b for a, b in zip(many, self._fit)))
+
+
+def _cubic(times: Array, values: Array, memory: float) -> Estimate:
+    """Return the cubic through values (m, k) at times (m,) that end at 0, there.
+
+    Args:
+        times, values: of samples.
+        memory: in which their weights fade [s].
+    """
+    order = min(len(times), _ORDER)
+    count = max(int((times > memory * math.log(_FADED)).sum()), order)
+    powers = np.vander(times[-count:] / memory, order, increasing=True)
+    weighted = np.exp(times[-count:] / memory)[:, None] * powers
+    found = np.zeros((_ORDER, values.shape[1]))
+    found[:order] = np.linalg.lstsq(
+        weighted.T @ powers, weighted.T @ values[-count:], rcond=None)[0]
+    return Estimate(found[0], found[1] / memory, 2.0 * found[2] / memory**2,
+                    6.0 * found[3] / memory**3)
 
 
 def _bounded(number: float, most: float) -> float:
