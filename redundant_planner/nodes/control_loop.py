@@ -337,7 +337,9 @@ class ControlLoop:
         if self._last_command is None:
             return
         following.tolerance = self.settings.follow_tolerance
-        reason = following.tick(self._last_command, self._posture(), tries=supervisor.tries)
+        reason = following.tick(
+            self._last_command, self._posture(), supervisor.measurement_ages(self.now),
+            tries=supervisor.tries)
         if reason and (supervisor.tries or not supervisor.astray):
             unheard = self.output.unheard(patience=0.0)
             # One that moves is told nothing new: it might go astray on the way to where it is.

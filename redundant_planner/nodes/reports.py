@@ -59,7 +59,7 @@ class Reports:
         """Publish the state of the loop."""
         loop, guard, state = self._loop, self._node.guard, self._loop.state
         now = loop.clock.now()
-        state.joint_state_age = loop.supervisor.measurement_age(now)
+        state.joint_state_age = float(loop.supervisor.measurement_ages(now).max())
         state.command_age = loop.command.age()
         state.obstacle_age = now - loop.obstacles.read_at
         state.faults, state.last_fault = guard.count, guard.last

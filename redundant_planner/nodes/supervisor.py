@@ -213,9 +213,9 @@ class Supervisor:
         """Return whether the arm may move for the first time within some seconds [s]."""
         return self.listening and now < self._listen_until <= now + seconds
 
-    def measurement_age(self, now: float) -> float:
-        """Return how old the oldest joint's measurement is [s]; infinite where one has none."""
-        return float(now - self._measured_at.min())
+    def measurement_ages(self, now: float) -> Array:
+        """Return how old each joint's measurement is (n,) [s]; infinite where one has none."""
+        return now - self._measured_at
 
     def decide(self, now: float, at_rest: bool, joint_state_timeout: float) -> Decision:
         """Return what the arm may do in the tick that begins now.
@@ -273,9 +273,9 @@ class Supervisor:
 
     def _fault(self, now: float, at_rest: bool, joint_state_timeout: float) -> Decision | None:
         """Return which fault stops the arm, if one does."""
-        age = self.measurement_age(now)
+        age = float(self.measurement_ages(now).max())
         if age > joint_state_timeout:
-            late = now - self._measured_at > joint_state_timeout
+            late = self.measurement_ages(now) > joint_state_timeout
             what = 'no usable joint_states' + (
                 '' if late.all() else f' of {self._named(late)}')
             return Decision(

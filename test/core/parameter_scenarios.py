@@ -16,6 +16,7 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import StepResult
+from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.paper.method import PaperPlanner
 
 PAPER_START = (0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0)
@@ -79,6 +80,19 @@ def to_a_target_behind_a_ball(parameters):
 def to_a_target_in_a_ball(parameters):
     """The Panda's tip to a pose that something else is at."""
     return _to_a_target(parameters, 0.5, 8.0)
+
+
+def after_a_moving_target(parameters):
+    """The Panda's tip after poses of a hand at 0.1 m/s, 50 of them a second."""
+    robot, postures, results = ROBOTS['panda'], [np.array(PANDA_READY)], []
+    planner, arm = Planner(robot, parameters), robot.kinematics(np.array(PANDA_READY))
+    for tick in range(round(2.0 / DT)):
+        target = Pose(arm.tip_position + (0.0, 0.1 * tick * DT, 0.0), arm.tip_rotation)
+        news = [] if tick % round(0.02 / DT) else [Sighting(target, 0.0)]
+        results.append(planner.step(postures[-1], np.zeros(6), Scene.of(), DT, target=target,
+                                    news=news))
+        postures.append(postures[-1] + DT * results[-1].dq)
+    return Motion(robot, np.array(postures), results, ())
 
 
 def _to_a_target(parameters, aside, seconds):

@@ -35,6 +35,7 @@ from motion_quantities import (
 )
 from parameter_scenarios import (
     across_the_first_link,
+    after_a_moving_target,
     between_two_balls,
     fast,
     folding,
@@ -102,6 +103,7 @@ CASES = [
     Case('path_priority', 'strict', 'yield', into_the_forearm, largest_path_error, '+'),
     Case('path_priority', 'yield', 'slide', held_up, time_lost, '-'),
     Case('target_path', 'straight', 'free', to_a_target_behind_a_ball, distance_left, '-'),
+    Case('target_lag', 0.05, 0.2, after_a_moving_target, distance_left, '+'),
     Case('target_gives_way', False, True, to_a_target_in_a_ball, distance_left, '+'),
     Case('posture_preferred', (), ('panda_joint3=0.5',), free, off_preferred, '-', EQ_2),
     Case('posture_preferred', (), ('panda_joint3=0.5',), free, off_preferred, '-', VARIATIONAL),
@@ -125,7 +127,7 @@ CASES = [
     Case('criteria_k_s', 0.0, 10.0, free_position, off_mid_range, '-', NO_CLEARANCE),
     Case('criteria_k_s', 0.0, 10.0, free_position, path_length, '+', NO_CLEARANCE),
     Case('criteria_k_f', 0.0, 100.0, free, least_norm_at_the_end, '-', NO_CLEARANCE),
-    Case('criteria_k_m', 0.0, 10.0, past_a_singularity, smallest_singular_value, '+',
+    Case('criteria_k_m', 0.0, 100.0, past_a_singularity, smallest_singular_value, '+',
          replace(EQ_2, singularity_margin=0.15)),
     Case('criteria_joint_weights', (1.0,) * 7, (5.0, *(1.0,) * 6), free, way_of_the_first_joint,
          '-'),

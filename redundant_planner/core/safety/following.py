@@ -8,6 +8,7 @@ hardware stands still.
     lost ← lost · e^(−dt/3 s) + q̇ dt, then less by 1.1 times what the joint has moved that way
 
 So a gain that is off by a tenth loses nothing, nor does motion against the command, as of a push.
+Nothing is known of a joint between its measurements: it is judged when one comes.
 """
 
 from __future__ import annotations
@@ -97,24 +98,28 @@ class Following:
     @property
     def _first_motion(self) -> tuple[float, float]:
         """What the joint was told that was told most, and what it has done [rad, m]."""
-        told = self._state[_TOLD]
-        most = int(told.argmax())
-        return float(told[most]), float(self._state[_DONE, most])
+        most = self._told_most
+        return float(self._state[_TOLD, most]), float(self._state[_DONE, most])
 
-    def tick(self, dq: Array, measured: Array, *, tries: bool = False) -> str:
+    @property
+    def _told_most(self) -> int:
+        return int(self._state[_TOLD].argmax())
+
+    def tick(self, dq: Array, measured: Array, ages: Array, *, tries: bool = False) -> str:
         """Take a tick; say which joints do not follow, if any does not.
 
         Args:
             dq: (n,) velocity that has been commanded since the last tick [rad/s, m/s].
             measured: (n,) where the arm is [rad, m].
+            ages: (n,) since when each joint was, zero if it was measured since the last tick [s].
             tries: whether the arm is to show by a small motion that it follows.
         """
         at, self._at = self._at, (self._at + 1) % len(self._travels)
         self._begins -= 1
         stays, self.moves_alone = _watch(
-            self._state, self._travels[at], dq, measured, self.tolerance, self._dt)
+            self._state, self._travels[at], dq, measured, ages, self.tolerance, self._dt)
         leaps = self.moves_alone and self._begins > 0
-        if tries:
+        if tries and ages[self._told_most] <= 0.0:
             told, done = self._first_motion
             stays = stays or (told >= 3.0 * _FIRST_MOTION and done < _FIRST_SHARE * told)
         if self.tolerance <= 0.0 or not (stays or leaps):
@@ -152,15 +157,15 @@ class Following:
 
 @compiled
 def _watch(
-    state: OutMatrix, travels: OutVector, dq: Vector, measured: Vector, tolerance: float,
-    dt: float,
+    state: OutMatrix, travels: OutVector, dq: Vector, measured: Vector, ages: Vector,
+    tolerance: float, dt: float,
 ) -> tuple[bool, bool]:
     """Bring the state up to date; return whether a joint does not follow, and if one moves alone.
 
     Args:
         state: of `Following`.
         travels: (n,) what was told in the tick that leaves the window; that of this one after it.
-        dq, measured: (n,) see `Following.tick`.
+        dq, measured, ages: (n,) see `Following.tick`.
         tolerance, dt: see there.
     """
     kept, kept_moves = 1.0 - dt / (dt + _FORGETTING), 1.0 - dt / (dt + _FORGETTING_MOVES)
@@ -184,7 +189,7 @@ def _watch(
         state[_DONE, i] += abs(done)
         travel, behind = state[_TRAVEL, i], abs(state[_LOST, i])
         # A joint that is told nothing loses nothing more.
-        if told * state[_LOST, i] > 0.0:
+        if ages[i] <= 0.0 and told * state[_LOST, i] > 0.0:
             late = late or behind > tolerance + travel
             if behind > tolerance + 0.5 * travel:
                 stands = i

@@ -11,6 +11,7 @@ import pytest
 from redundant_planner.core.safety.following import Following, WINDOW
 
 NAMES, DT = ('a', 'b', 'c'), 0.004
+NEW = np.zeros(3)  # ages of joints that have been measured just now [s]
 
 
 class Arm:
@@ -56,7 +57,7 @@ def watched(arm, velocity, seconds, tolerance=0.02):
     for i in range(round(seconds / DT)):
         dq = velocity(i * DT)
         measured = arm.move(dq)
-        reason = following.tick(dq, measured)
+        reason = following.tick(dq, measured, NEW)
         if reason:
             return reason, i * DT
     return '', seconds
@@ -126,11 +127,30 @@ def test_a_push_is_no_fault_and_counts_as_moved_by_others_at_rest(push):
         if i in (300, 1200):
             arm.q = arm.q + push * np.array([1.0, 1.0, -1.0])
             arm._motor = arm.q
-        assert following.tick(dq, arm.move(dq)) == ''
+        assert following.tick(dq, arm.move(dq), NEW) == ''
         if i < 900:
             following.rest()
         moved.append(following.moved_by_others)
     assert max(moved[900:1190]) < 5e-3 < max(moved[1200:])
+
+
+@pytest.mark.parametrize('moves', [True, False])
+def test_a_joint_is_judged_when_it_is_measured(moves):
+    """One joint's part of joint_states pauses for longer than a joint may be behind."""
+    arm, following = Arm(lag=0.03), Following(NAMES, DT, 0.02)
+    following.begin(arm.shown, 0.0)
+    dq, ages, measured = np.full(3, 0.6), np.zeros(3), np.zeros(3)
+    complaints = []
+    for i in range(500):
+        told = dq if moves or i < 200 else dq * [0.0, 1.0, 1.0]
+        now = arm.move(told)
+        ages[0] = ages[0] + DT if 200 <= i < 400 else 0.0
+        measured = np.where(ages > 0.0, measured, now)
+        complaints.append(following.tick(dq, measured, ages))
+    assert not any(complaints[:400])
+    assert any(complaints[400:]) is not moves
+    if not moves:
+        assert "joint 'a' stays behind" in complaints[400]
 
 
 def test_half_the_gain_is_found_out_and_zero_switches_it_off():
@@ -145,6 +165,6 @@ def test_a_first_small_motion_shows_that_it_follows():
         seen = False
         for _ in range(125):
             dq = np.array([0.05, 0.0, 0.0])
-            following.tick(dq, arm.move(dq))
+            following.tick(dq, arm.move(dq), NEW)
             seen = seen or following.has_followed
         assert seen is follows
