@@ -151,6 +151,8 @@ def station(kind=ForkedProcesses):
         with kind(domain) as processes:
             yield Station(node, executor), processes
     finally:
+        # An executor that is not shut down keeps its context, and that all that is on the network.
+        executor.shutdown()
         node.destroy_node()
         rclpy.shutdown(context=context)
 

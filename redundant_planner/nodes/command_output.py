@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from redundant_planner.core.safety.following import LAG
 from redundant_planner.io.node_parameters import (
     JOINT_COMMAND,
     JOINT_TRAJECTORY,
@@ -42,6 +43,7 @@ class CommandOutput:
     Attributes:
         moved_at: when a motion was first commanded, by the system's monotonic clock; infinite
             before [s].
+        lag: by how much more than its own a drive may lag that gets them [s].
     """
 
     def __init__(
@@ -58,6 +60,8 @@ class CommandOutput:
             position_min, position_max: (n,) which no trajectory leads beyond [rad, m].
         """
         self.moved_at = np.inf
+        # A trajectory that begins where the arm is asks for a part of the way that is left.
+        self.lag = (_REACH - 1) * LAG if JOINT_TRAJECTORY in outputs else 0.0
         self._heard: set[str] = set()  # outputs that have had a listener
         self._publisher = node.create_publisher(JointState, JOINT_COMMAND, 10)
         self._writer = JointWriter(joint_names)

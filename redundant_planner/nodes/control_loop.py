@@ -295,7 +295,8 @@ class ControlLoop:
         if self.at_rest:
             kind = TickKind.STARTING
             self.planner.reset()
-            self._following.begin(posture, sum(_drive_of(self.planner)))
+            lag, dead_time = _drive_of(self.planner)
+            self._following.begin(posture, lag + self.output.lag, dead_time)
             self._position_command.start(posture, self._lead)
         twist, ahead, target = _NO_TWIST, None, None
         if ignore_command:

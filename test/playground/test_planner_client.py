@@ -80,6 +80,7 @@ def heard():
         one = Heard(context)
         yield one
         one.client.close()
+        one.executor.shutdown()
         one.node.destroy_node()
     finally:
         rclpy.shutdown(context=context)

@@ -1,13 +1,20 @@
 """Whether the arm does what it is told: what was commanded against what was measured.
 
-A drive answers late: by its lag, its dead time, and the age of joint_states. So each joint may be
-behind by what it was told to travel within the last `WINDOW`, and by a tolerance. What it is
-behind by otherwise is lost: no controller carries it out, it has another order of joints, or the
-hardware stands still.
+A drive answers late: by its lag, its dead time, and the age of joint_states. A joint that is late
+by a dead time and a lag of first order is behind by
+
+    ∫ w(s) |q̇(t − s)| ds at most, w = 1 within the dead time, e^(−(s − dead time)/lag) after it
+
+for any motion. So each joint may be behind by that, for `DEAD_TIME` and `LAG`, and by a tolerance.
+What it is behind by otherwise is lost: no controller carries it out, it has another order of
+joints, or the hardware stands still.
 
     lost ← lost · e^(−dt/3 s) + q̇ dt, then less by 1.1 times what the joint has moved that way
+    owed ← owed · e^(−dt/3 s) + q̇ dt, less by what the joint has moved
 
 So a gain that is off by a tenth loses nothing, nor does motion against the command, as of a push.
+But what such a joint had caught up with by its tenth more would be lost as soon as the command
+turns round. So it is behind by the smaller of both, and by nothing where they differ in sign.
 Nothing is known of a joint between its measurements: it is judged when one comes.
 """
 
@@ -22,8 +29,9 @@ from redundant_planner.core.kernels import compiled, OutMatrix, OutVector, Vecto
 
 Array = npt.NDArray[np.float64]
 
-# How late drives and measurements may be, besides the drive's lag and dead time [s].
-WINDOW = 0.3
+# How late measurements and drives may be, besides the drive's lag and dead time as they are known
+# [s]: a drive with 80 ms of lag and 40 ms of dead time, and states at 20 Hz that are 0.1 s old.
+DEAD_TIME, LAG = 0.2, 0.1
 # What joints lose, and what others move them by at rest, is forgotten in this time; what they move
 # without a command in this: a push does not count for long [s].
 _FORGETTING, _FORGETTING_MOVES = 3.0, 0.5
@@ -40,10 +48,10 @@ _SOMEWHAT = 0.25
 # three times as much and has not does not [rad, m].
 _FIRST_MOTION, _FIRST_SHARE = 0.01, 0.3
 
-# Rows of the state: what was lost, what was moved without a command, and that without forgetting;
-# the measurement without its noise; the travel told within the window, and of late; and all that
-# was told and done since the beginning [rad, m].
-_LOST, _BESIDE, _AWAY, _MEASURED, _TRAVEL, _RECENT, _TOLD, _DONE = range(8)
+# Rows of the state: what was lost and what is owed, what was moved without a command, and that without forgetting;
+# the measurement without its noise; the travel told within the dead time, before it with the
+# weights of the lag, and of late; and all that was told and done since the beginning [rad, m].
+_LOST, _OWED, _BESIDE, _AWAY, _MEASURED, _WITHIN, _BEFORE, _RECENT, _TOLD, _DONE = range(10)
 
 
 class Following:
@@ -58,20 +66,22 @@ class Following:
         """Prepare for n joints and ticks of dt [s]."""
         self.tolerance, self.moves_alone = tolerance, False
         self._names, self._dt = joint_names, dt
-        self._state = np.zeros((8, len(joint_names)))
+        self._state = np.zeros((10, len(joint_names)))
         self._travels = np.zeros((1, len(joint_names)))
         self._at = self._begins = 0
+        self._lag = LAG
 
-    def begin(self, measured: Array, delay: float) -> None:
+    def begin(self, measured: Array, lag: float = 0.0, dead_time: float = 0.0) -> None:
         """Begin anew with an arm at rest.
 
         Args:
             measured: (n,) where it is [rad, m].
-            delay: lag and dead time of its drives, as far as they are known [s].
+            lag, dead_time: of its drives, as far as they are known [s].
         """
         self._state[:] = 0.0
         self._state[_MEASURED] = measured
-        ticks = round((WINDOW + delay) / self._dt) + 1
+        self._lag = LAG + lag
+        ticks = round((DEAD_TIME + dead_time) / self._dt) + 1
         self._travels, self._at = np.zeros((ticks, len(measured))), 0
         self._begins = round(_JUST_BEGUN / self._dt)
 
@@ -81,8 +91,8 @@ class Following:
 
     @property
     def travel(self) -> Array:
-        """How far each joint was told to travel of late (n,) [rad, m]."""
-        return self._state[_TRAVEL]
+        """By how much each joint may be behind that is late (n,) [rad, m]."""
+        return self._state[_WITHIN] + self._state[_BEFORE]
 
     @property
     def moved_by_others(self) -> float:
@@ -117,16 +127,20 @@ class Following:
         at, self._at = self._at, (self._at + 1) % len(self._travels)
         self._begins -= 1
         stays, self.moves_alone = _watch(
-            self._state, self._travels[at], dq, measured, ages, self.tolerance, self._dt)
+            self._state, self._travels[at], dq, measured, ages, self.tolerance, self._lag,
+            self._dt)
         leaps = self.moves_alone and self._begins > 0
         if tries and ages[self._told_most] <= 0.0:
             told, done = self._first_motion
             stays = stays or (told >= 3.0 * _FIRST_MOTION and done < _FIRST_SHARE * told)
         if self.tolerance <= 0.0 or not (stays or leaps):
             return ''
-        behind = float(np.abs(self._state[_LOST]).max())
-        return (self._words() if stays or behind > _SOMEWHAT * self.tolerance
+        return (self._words() if stays or self._behind.max() > _SOMEWHAT * self.tolerance
                 else self._words_of_a_leap())
+
+    @property
+    def _behind(self) -> Array:
+        return np.array([_behind(self._state, i) for i in range(len(self._names))])
 
     @property
     def _movers(self) -> str:
@@ -143,10 +157,10 @@ class Following:
                 'the arm?')
 
     def _words(self) -> str:
-        lost = np.abs(self._state[_LOST])
-        least = min(self.tolerance, float(lost.max()))
-        stand = [f"joint '{self._names[i]}' stays behind by {lost[i]:.3f}"
-                 for i in np.argsort(-lost) if lost[i] >= least]
+        behind = self._behind
+        least = min(self.tolerance, float(behind.max()))
+        stand = [f"joint '{self._names[i]}' stays behind by {behind[i]:.3f}"
+                 for i in np.argsort(-behind) if behind[i] >= least]
         if self._movers:
             return (f'the arm does not follow: {", ".join(stand)} rad or m, while joint '
                     f'{self._movers} moves without a command; does the controller have the '
@@ -156,23 +170,33 @@ class Following:
 
 
 @compiled
+def _behind(state: OutMatrix, i: int) -> float:
+    """Return how far joint i is behind [rad, m]."""
+    lost, owed = state[_LOST, i], state[_OWED, i]
+    return min(abs(lost), abs(owed)) if lost * owed > 0.0 else 0.0
+
+
+@compiled
 def _watch(
     state: OutMatrix, travels: OutVector, dq: Vector, measured: Vector, ages: Vector,
-    tolerance: float, dt: float,
+    tolerance: float, lag: float, dt: float,
 ) -> tuple[bool, bool]:
     """Bring the state up to date; return whether a joint does not follow, and if one moves alone.
 
     Args:
         state: of `Following`.
-        travels: (n,) what was told in the tick that leaves the window; that of this one after it.
+        travels: (n,) what was told in the tick that leaves the dead time; that of this one after
+            it.
         dq, measured, ages: (n,) see `Following.tick`.
-        tolerance, dt: see there.
+        tolerance, lag, dt: see there.
     """
     kept, kept_moves = 1.0 - dt / (dt + _FORGETTING), 1.0 - dt / (dt + _FORGETTING_MOVES)
+    kept_before = 1.0 - dt / (dt + lag)
     late, stands, moves = False, -1, -1
     for i in range(len(dq)):
         told = dq[i] * dt
-        state[_TRAVEL, i] = max(state[_TRAVEL, i] + abs(told) - travels[i], 0.0)
+        state[_WITHIN, i] = max(state[_WITHIN, i] + abs(told) - travels[i], 0.0)
+        state[_BEFORE, i] = kept_before * state[_BEFORE, i] + travels[i]
         travels[i] = abs(told)
         state[_RECENT, i] = kept_moves * state[_RECENT, i] + abs(told)
         off = measured[i] - state[_MEASURED, i]
@@ -183,11 +207,12 @@ def _watch(
             done = min(max(_GAIN * moved, -abs(lost)), abs(lost))
         beside = moved - done / _GAIN
         state[_LOST, i] = lost - done
+        state[_OWED, i] = kept * state[_OWED, i] + told - moved
         state[_BESIDE, i] = kept_moves * state[_BESIDE, i] + beside
         state[_AWAY, i] = kept * state[_AWAY, i] + beside
         state[_TOLD, i] += abs(told)
         state[_DONE, i] += abs(done)
-        travel, behind = state[_TRAVEL, i], abs(state[_LOST, i])
+        travel, behind = state[_WITHIN, i] + state[_BEFORE, i], _behind(state, i)
         # A joint that is told nothing loses nothing more.
         if ages[i] <= 0.0 and told * state[_LOST, i] > 0.0:
             late = late or behind > tolerance + travel
