@@ -39,10 +39,11 @@ class PlannerNodeParameters:
                     'published until they are back.')
     follow_tolerance: float = parameter(
         0.02, low=0.0, high=1.0, unit='rad, m', runtime=True, group='follow',
-        description='How far a joint may stay behind its commands, besides what it was told to '
-                    'travel within 0.3 s. An arm that stays further behind, as its controller is '
-                    'not active, is stopped, and moves again with the next fresh command. 0 turns '
-                    'this off. Smaller, and a load or play in the gears stops the arm.')
+        description='How far a joint may stay behind its commands, besides what drives and '
+                    'measurements are late by. An arm that stays further behind, as its '
+                    'controller is not active, is stopped, and moves again with the next fresh '
+                    'command. 0 turns this off. Smaller, and a load or play in the gears stops '
+                    'the arm.')
     enable_stamped_cmd_vel: bool = parameter(
         False, description='cmd_vel is TwistStamped instead of Twist: it says its frame (base or '
                            'tip) and when it was meant.')

@@ -10,11 +10,12 @@ What it is behind by otherwise is lost: no controller carries it out, it has ano
 joints, or the hardware stands still.
 
     lost ← lost · e^(−dt/3 s) + q̇ dt, then less by 1.1 times what the joint has moved that way
-    owed ← owed · e^(−dt/3 s) + q̇ dt, less by what the joint has moved
+    owed ← owed + q̇ dt, less by what the joint has moved
 
 So a gain that is off by a tenth loses nothing, nor does motion against the command, as of a push.
-But what such a joint had caught up with by its tenth more would be lost as soon as the command
-turns round. So it is behind by the smaller of both, and by nothing where they differ in sign.
+But what a late joint has caught up with by its tenth more would be lost as soon as the command
+turns round. So it is behind by the smaller of both, and by nothing where they differ in sign. Of
+what is owed, all that lateness does not explain is forgotten like what is lost.
 Nothing is known of a joint between its measurements: it is judged when one comes.
 """
 
@@ -31,7 +32,7 @@ Array = npt.NDArray[np.float64]
 
 # How late measurements and drives may be, besides the drive's lag and dead time as they are known
 # [s]: a drive with 80 ms of lag and 40 ms of dead time, and states at 20 Hz that are 0.1 s old.
-DEAD_TIME, LAG = 0.2, 0.1
+DEAD_TIME, LAG = 0.2, 0.09
 # What joints lose, and what others move them by at rest, is forgotten in this time; what they move
 # without a command in this: a push does not count for long [s].
 _FORGETTING, _FORGETTING_MOVES = 3.0, 0.5
@@ -48,9 +49,10 @@ _SOMEWHAT = 0.25
 # three times as much and has not does not [rad, m].
 _FIRST_MOTION, _FIRST_SHARE = 0.01, 0.3
 
-# Rows of the state: what was lost and what is owed, what was moved without a command, and that without forgetting;
-# the measurement without its noise; the travel told within the dead time, before it with the
-# weights of the lag, and of late; and all that was told and done since the beginning [rad, m].
+# Rows of the state: what was lost and what is owed; what was moved without a command, and that
+# without forgetting; the measurement without its noise; the travel told within the dead time,
+# before it with the weights of the lag, and of late; and all that was told and done since the
+# beginning [rad, m].
 _LOST, _OWED, _BESIDE, _AWAY, _MEASURED, _WITHIN, _BEFORE, _RECENT, _TOLD, _DONE = range(10)
 
 
@@ -207,16 +209,18 @@ def _watch(
             done = min(max(_GAIN * moved, -abs(lost)), abs(lost))
         beside = moved - done / _GAIN
         state[_LOST, i] = lost - done
-        state[_OWED, i] = kept * state[_OWED, i] + told - moved
+        late_by = state[_WITHIN, i] + state[_BEFORE, i]
+        explained = min(max(state[_OWED, i], -late_by), late_by)
+        state[_OWED, i] = explained + kept * (state[_OWED, i] - explained) + told - moved
         state[_BESIDE, i] = kept_moves * state[_BESIDE, i] + beside
         state[_AWAY, i] = kept * state[_AWAY, i] + beside
         state[_TOLD, i] += abs(told)
         state[_DONE, i] += abs(done)
-        travel, behind = state[_WITHIN, i] + state[_BEFORE, i], _behind(state, i)
+        behind = _behind(state, i)
         # A joint that is told nothing loses nothing more.
         if ages[i] <= 0.0 and told * state[_LOST, i] > 0.0:
-            late = late or behind > tolerance + travel
-            if behind > tolerance + 0.5 * travel:
+            late = late or behind > tolerance + late_by
+            if behind > tolerance + 0.5 * late_by:
                 stands = i
         # An arm that comes to rest late coasts by no more than it was told of late.
         if abs(state[_BESIDE, i]) > tolerance + state[_RECENT, i]:
