@@ -21,7 +21,6 @@ from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.machine_code.packed import Packed
 from redundant_planner.core.obstacles.clearance import pseudo_distance
 from redundant_planner.core.obstacles.contacts import AllowedContacts, Contact, contacts
-from redundant_planner.core.obstacles.evasion import Evasion, NO_TURN, Turn
 from redundant_planner.core.obstacles.nearby import Surroundings
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -57,10 +56,6 @@ Array = npt.NDArray[np.float64]
 
 # The mean that keeps the jerk limits takes as many ticks as there are in up to a second [s].
 _SHORTEST_TICK, _LONGEST_TICK = 1e-4, 10.0
-# A tick in which evasion looks at more distances has no time to improve the joint path ahead.
-_MANY_DISTANCES = 600
-# Evasion waits in ticks that choose among many obstacles, but in no more than these in a row.
-_MOST_WAITING = 2
 # What is said while the arm is on a free way back to its path, and where jerk is not limited.
 _BACK = 'the arm comes back to its path'
 _JERK_GIVES_WAY = 'jerk gives way to a clearance'
@@ -116,7 +111,6 @@ class _Aim(NamedTuple):
         start: of the tick.
         commanded: whether the tip is to move.
         joints: what the joints are to do on a free way; None where the tip keeps to a path.
-        turn: of the first joints, out of the course of what moves.
         aside: out of the way of what moves; None where there is no need, or no way.
         path: (n,) velocity of the joint path ahead; None where there is none.
         guided: share of the null-space motion that follows it.
@@ -126,7 +120,6 @@ class _Aim(NamedTuple):
     start: Start
     commanded: bool
     joints: JointMotion | None
-    turn: Turn
     aside: Aside | None
     path: Array | None
     guided: float
@@ -147,8 +140,7 @@ class Planner:
     the last tick (its velocity, the reference pose, how much of the path was followed), when the
     links were last measured against each other, the obstacles near the arm (`ObstacleWatch`),
     the joint path ahead (`LookAhead`), the way to its target (`Way`), the joint path past what
-    moves (`EvasivePlan`), the turn that evades it where there is none (`Evasion`), and whether
-    it has to come back from there (`ComingBack`).
+    moves (`EvasivePlan`), and whether it has to come back from there (`ComingBack`).
     """
 
     def __init__(
@@ -202,7 +194,6 @@ class Planner:
             robot, parameters, self._limits, self._constants, self._gains)
         self._way = Way(robot, parameters, limits, constants, gains, getattr(self, '_way', None))
         self._back = ComingBack(robot, constants)
-        self._evasion = Evasion(robot, parameters)
         self._evasive = EvasivePlan(robot, constants, limits, gains)
         self._way_out = LastWayOut(robot, constants, limits, parameters.singularity_margin)
         self._watch, self._slow_down = watch, slow_down
@@ -247,7 +238,6 @@ class Planner:
         self._look_ahead.reset()
         self._way.reset()
         self._back.reset()
-        self._evasion.reset()
         self._evasive.reset()
         self._way_out.forget()
         self._watch.reset()
@@ -334,7 +324,7 @@ class Planner:
 
         # Wish: ẋ and J⁺ẋ + k P∇H, Eqs. 1, 2 and 18.
         world = World(
-            around.maps, around.start, around.end, around.range, aim.turn,
+            around.maps, around.start, around.end, around.range,
             last.dq if aim.path is None else aim.path, aim.guided, last.worth,
             self._observer.strayed)
         desired = wish(start, world, self._setup)
@@ -403,21 +393,19 @@ class Planner:
                 self._smoothing.delay, self._watch.everywhere, news, free=target is None)
             start, commanded = start._replace(command=command), bool(command.any())
             says = '; '.join(filter(None, (_BACK if target is None else '', self._way.lacks)))
-        aside, turn = self._evade(start, around, by_joints=joints is not None)
+        aside = self._evade(start, around, by_joints=joints is not None)
         if joints is None:
             path = self._look_ahead.velocity(
-                start, around.ahead, ahead,
-                busy=aside is not None or self._evasion.spent > _MANY_DISTANCES,
+                start, around.ahead, ahead, busy=aside is not None,
                 chose=self._watch.chose, chose_ahead=self._watch.chose_ahead)
             guided = 0.0 if path is None else self._look_ahead.guided
             if aside is not None and not aside.leaves:
                 path, guided = aside.velocity, 1.0
-            return _Aim(start, commanded, None, turn, aside, path, guided, says)
+            return _Aim(start, commanded, None, aside, path, guided, says)
         # What the joints do is given: the tip's path is not kept, nor its null space used.
         self._look_ahead.reset()
         pose = Pose(start.arm.tip_position, start.arm.tip_rotation)
-        return _Aim(
-            start._replace(reference=pose), commanded, joints, turn, None, None, 0.0, says)
+        return _Aim(start._replace(reference=pose), commanded, joints, None, None, 0.0, says)
 
     def _remember(
         self, result: Filtered, possible: float, desired: Wish, start: Start, by_joints: bool,
@@ -496,24 +484,15 @@ class Planner:
 
     def _evade(
         self, start: Start, around: Surroundings, *, by_joints: bool,
-    ) -> tuple[Aside | None, Turn]:
-        """Return how to get out of the way of what moves: aside, else by turning."""
+    ) -> Aside | None:
+        """Return how to get out of the way of what moves."""
         p = self._parameters
         evades = (self._watch.fastest > 0.0 and self._filtered and p.path_priority != 'strict'
                   and p.clearance_evasion_horizon > 0.0)
-        aside = None
         if evades and not by_joints:
-            aside = self._evasive.aside(start, around)
-        else:
-            self._evasive.reset()
-        if aside is not None or not evades:
-            self._evasion.reset()
-            return aside, NO_TURN
-        # A path is rarely overdue; obstacles may have to be chosen in each tick.
-        waits = self._look_ahead.is_overdue(start.dt, self._watch.chose) or (
-            self._watch.chose and self._evasion.waited < _MOST_WAITING)
-        return None, self._evasion.turn(
-            start.arm, around.ahead, start.previous, self._last.leaving, waits, start.dt)
+            return self._evasive.aside(start, around)
+        self._evasive.reset()
+        return None
 
     def _switch(
         self, desired: Wish, around: Surroundings, commanded: bool, dt: float,

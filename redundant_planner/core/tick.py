@@ -15,7 +15,6 @@ from redundant_planner.core.constants import Gains, RobotConstants
 from redundant_planner.core.kernels import entry, kernel, Matrix, OutMatrix, OutVector, Vector
 from redundant_planner.core.machine_code.packed import Packed
 from redundant_planner.core.obstacles.clearance import is_contact, link_pair
-from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import kept_apart, near_pairs, NearPairs
 from redundant_planner.core.obstacles.self_collision import near_links, SelfPairs
@@ -71,7 +70,6 @@ class World(NamedTuple):
     Attributes:
         obstacles: the obstacles that can matter.
         seen_start, seen_end, ranges: how far all others are, see `Surroundings`.
-        turn: of the first joints, out of an obstacle's course.
         path: (n,) velocity of the joint path ahead; anything where it is not followed.
         guided: share of the homogeneous solution that follows it.
         worth: share of the rest of it that is worth its while, see `Planner`.
@@ -82,7 +80,6 @@ class World(NamedTuple):
     seen_start: Matrix
     seen_end: Matrix
     ranges: Vector
-    turn: Turn
     path: Vector
     guided: float
     worth: float
@@ -298,14 +295,13 @@ def _wish(
     dq[:] = least_norm + motions[2]  # Eq. 1
 
     # The barriers. To evade, any null-space speed is better than leaving the path.
-    intruded, turn = rows.is_intruded(near, obstacles, world.turn), world.turn
+    intruded = rows.is_intruded(near, obstacles)
     found = rows.cleared(
-        memory.rows, rows.most_rows(len(near.acting), len(turn.velocities), len(own.pairs)))
+        memory.rows, rows.most_rows(len(near.acting), len(own.pairs)))
     at = rows.obstacle_rows(
         found, 0, near, obstacles, gains.clearance_lead,
         rows.strayed_distances(world.strayed, constants))
     rows.bend_obstacle_rows(found, near, obstacles, links, start)
-    at = rows.turn_rows(found, at, turn, limits.velocity_max)
     at = rows.link_rows(found, at, own, constants)
     rows.ease_slight_intrusions(found, at, obstacles, parts, scaling, gains.clearance_gain)
     at = rows.cone_rows(found, at, start, constants.cone)

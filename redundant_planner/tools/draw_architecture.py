@@ -41,7 +41,7 @@ _HOLDS = {
     'core/target': 'the way to a pose',
     'core/horizon': 'the joint path ahead',
     'core/safety': 'limits, braking, the QP',
-    'core/obstacles': 'shapes, clearance, evasion',
+    'core/obstacles': 'shapes, clearance, what is near',
     'core/redundancy': 'J⁺, P, the criteria of ∇H',
     'core/robot': 'model, kinematics, capsules',
 }

@@ -115,17 +115,6 @@ class LookAhead:
         """Whether the path's last problem took more iterations than it may."""
         return self._horizon is not None and self._horizon.cut_short
 
-    def is_overdue(self, dt: float, chose: bool) -> bool:
-        """Return whether this tick has to improve the path, whatever else it does.
-
-        Args:
-            dt: the tick's time [s].
-            chose: whether it has chosen its obstacles anew.
-        """
-        return self.guided > 0.0 and (
-            self._age + dt >= (OLDEST_PATH_CHOOSING if chose else _OLDEST_PATH)
-            or not (self._has_planned or chose))
-
     def velocity(
         self, start: Start, obstacles: InflatedObstacles, ahead: Preview | TwistAhead | None,
         *, busy: bool, chose: bool, chose_ahead: bool,

@@ -43,7 +43,7 @@ Array = npt.NDArray[np.float64]
 
 # With no more obstacles than this, looking at all of them is as quick.
 FEW = 20
-# Most obstacles that a tick looks at, and most that the joint path ahead and evasion look at.
+# Most obstacles that a tick looks at, and most that the joint paths ahead look at.
 MOST_NEAR = 200
 MOST_AHEAD = 25
 # How much further than needed the search looks, so that its result holds for a while [m].

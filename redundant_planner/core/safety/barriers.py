@@ -15,7 +15,6 @@ import numpy.typing as npt
 from redundant_planner.core.constants import RobotConstants
 from redundant_planner.core.kernels import compiled, IndexPairs, Indices, kernel, Matrix, Vector
 from redundant_planner.core.obstacles.clearance_gradients import bending
-from redundant_planner.core.obstacles.evasion import Turn
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import MOST_ACTING, NearPairs
 from redundant_planner.core.obstacles.self_collision import MOST_VIEWS, NearLinks
@@ -37,7 +36,7 @@ Array = npt.NDArray[np.float64]
 
 # Kinds of rows, in the order in which they stand. The last two are not urgent: they give way
 # before anything else does.
-OBSTACLE, TURN, LINK, CONE, SINGULARITY, SELF_MOTION = range(6)
+OBSTACLE, LINK, CONE, SINGULARITY, SELF_MOTION = range(5)
 
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
 _FOUND_INSIDE = 1e-3
@@ -55,8 +54,6 @@ _SPARE_IN_CONE, _CAUTION_IN_CONE, _DRIFT = 0.03, 0.4, 0.01
 _SLIGHT, _SLOWLY_OUT = 2e-5, 1e-3
 # Links that have strayed less than this count as in place: the rest of the noise [m].
 _IN_PLACE = 5e-4
-# How exactly a turn is made, as a share of a joint's speed limit.
-_TURN_TOLERANCE = 0.005
 # Two for the cone, one each for the singularity and self-motion.
 _OTHER_ROWS = 4
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
@@ -71,7 +68,7 @@ class Barriers(NamedTuple):
         time_derivative: (b,) ∂h/∂t from the obstacles' own motion [unit of h/s].
         value: (b,) h against the margin; negative inside it, where the arm has to get out.
         spare: (b,) how much of h is given up before the rest of any other is.
-        kind: (b,) OBSTACLE, TURN, LINK, CONE, SINGULARITY or SELF_MOTION.
+        kind: (b,) OBSTACLE, LINK, CONE, SINGULARITY or SELF_MOTION.
         first, second: (b,) a link and an obstacle, or two links; −1 for other rows.
     """
 
@@ -172,15 +169,14 @@ def admissible(
     return True
 
 
-def _most_rows(acting: int, turning: int, own: int) -> int:
+def _most_rows(acting: int, own: int) -> int:
     """Return how many rows a tick has at most.
 
     Args:
         acting: pairs of links and obstacles whose barrier could act.
-        turning: joints that turn.
         own: views of pairs of links that could meet, see `NearLinks`.
     """
-    return acting + 2 * turning + own + _OTHER_ROWS
+    return acting + own + _OTHER_ROWS
 
 
 most_rows = kernel(_most_rows)
@@ -189,7 +185,7 @@ most_rows = kernel(_most_rows)
 def room_for_rows(constants: RobotConstants) -> Rows:
     """Return room for as many rows as a tick of this robot may have."""
     n = len(constants.scaling)
-    most = _most_rows(MOST_ACTING, n, MOST_VIEWS * len(constants.self_pairs))
+    most = _most_rows(MOST_ACTING, MOST_VIEWS * len(constants.self_pairs))
     return Rows(np.empty((most, n)), np.empty((3, most)), np.empty((3, most), np.intp))
 
 
@@ -279,19 +275,6 @@ def bend_obstacle_rows(
 
 
 @kernel
-def turn_rows(rows: Barriers, at: int, turn: Turn, velocity_max: Vector) -> int:
-    """Write two rows that hold each turning joint to its velocity; return the next row."""
-    for j in range(len(turn.velocities)):
-        for way in (1.0, -1.0):
-            rows.gradient[at, j] = way
-            rows.time_derivative[at] = (
-                _TURN_TOLERANCE * velocity_max[j] - way * turn.velocities[j])
-            rows.kind[at], rows.first[at], rows.second[at] = TURN, turn.link, turn.obstacle
-            at += 1
-    return at
-
-
-@kernel
 def link_rows(rows: Barriers, at: int, own: NearLinks, constants: RobotConstants) -> int:
     """Write a row for every two links that could meet; return the next row."""
     for i in range(len(own.pairs)):
@@ -320,7 +303,7 @@ def ease_slight_intrusions(
         gain: see `barrier_bounds` [1/s].
     """
     for row in range(used):
-        if rows.kind[row] == TURN or rows.value[row] >= 0.0:
+        if rows.value[row] >= 0.0:
             continue
         metres = 1.0
         if rows.kind[row] == OBSTACLE:
@@ -447,9 +430,9 @@ def without_null_space(barriers: Barriers) -> Barriers:
 
 
 @kernel
-def is_intruded(near: NearPairs, maps: InflatedObstacles, turn: Turn) -> bool:
+def is_intruded(near: NearPairs, maps: InflatedObstacles) -> bool:
     """Return whether an obstacle moves towards the arm, or the arm was found too close to it."""
-    intruded = len(turn.velocities) > 0
+    intruded = False
     for pair in near.acting:
         inside = (near.distance[pair] < -_FOUND_INSIDE
                   and not maps.may_touch[near.links[pair], near.obstacles[pair]])
