@@ -276,9 +276,9 @@ def roughness(p: CameraParameters):
 def time_that_an_arm_may_stand(settings):
     """How long a joint that is told to move may stand before it is said not to follow [s]."""
     following = Following(('a',), DT, settings.follow_tolerance)
-    following.begin(np.zeros(1), 0.0)
+    following.begin(np.zeros(1))
     ticks = 0
-    while not following.tick(np.array([0.3]), np.zeros(1)):
+    while not following.tick(np.array([0.3]), np.zeros(1), np.zeros(1)):
         ticks += 1
     return ticks * DT
 
