@@ -86,7 +86,8 @@ _WAITING = 0.1
 _MACHINE = pytest.StashKey[Standstill]()
 
 
-_OF_BENCHMARKS = ('test_benchmark.py', 'test_closest_approach.py', 'test_problem_sets.py')
+_OF_BENCHMARKS = ('test_ablation.py', 'test_benchmark.py', 'test_closest_approach.py',
+                  'test_problem_sets.py')
 
 
 @pytest.hookimpl(tryfirst=True)

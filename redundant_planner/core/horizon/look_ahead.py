@@ -37,8 +37,8 @@ _TREND = 0.1
 _PLANNING_PERIOD = 0.003
 # No joint path is planned among more obstacles than this.
 MOST_OBSTACLES = 50
-# A tick that searches for an evading turn leaves the path as it is until that is so old [s]. One
-# that has chosen its obstacles anew, which few do, leaves it for longer.
+# A tick that knows a way aside leaves the path as it is until that is so old [s]. One that has
+# chosen its obstacles anew, which few do, leaves it for longer.
 _OLDEST_PATH, OLDEST_PATH_CHOOSING = 0.04, 0.06
 # An arm this slow stands [rad/s, m/s].
 _STANDSTILL = 1e-3
