@@ -283,9 +283,10 @@ class PlannerParameters:
     drive_lag: float = parameter(
         0.0, low=0.0, high=0.5, unit='s',
         group='drive',
-        description="Time constant of the drives' velocity. With it and drive.dead_time the "
-                    'planner knows where the arm should be by now; identify_delay measures both. '
-                    'Off by half, and the tip is a millimetre further off its path.')
+        description="Time constant of the drives' velocity, of a controller in front of them, "
+                    'too. With it and drive.dead_time the planner knows where the arm should be '
+                    'by now; identify_delay measures both. Off by half, and the tip is a '
+                    'millimetre further off its path.')
     drive_dead_time: float = parameter(
         0.0, low=0.0, high=0.5, unit='s',
         group='drive',

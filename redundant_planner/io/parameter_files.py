@@ -33,7 +33,6 @@ from redundant_planner.io.perception_parameters import (
     SceneParameters,
 )
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
-from redundant_planner.io.renamed_parameters import flat, what_became_of
 from redundant_planner.io.resources import read_text, resolve, yaml_content
 
 Settings = TypeVar('Settings')
@@ -220,14 +219,22 @@ def read_parameter_file(path: Path) -> dict[str, Any]:
         content = yaml_content(read_text(path), what)
     except PlannerError as error:
         raise ParameterError(str(error)) from None
-    values = parameter_values(content, what)
-    values = flat(values)
-    old = [sentence for sentence in map(what_became_of, values) if sentence]
-    unknown = old + unknown_names(
-        (name for name in values if not what_became_of(name)), known_parameters())
+    values = flat(parameter_values(content, what))
+    unknown = unknown_names(values, known_parameters())
     if unknown:
         raise ParameterError(f'{what}: ' + '; '.join(unknown))
     return values
+
+
+def flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameter values with those of a group under their full names, `group.name`."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping) and name not in (*_NAMED, *_EVERY_NODES):
+            found |= {f'{name}.{key}': inner for key, inner in value.items()}
+        else:
+            found[name] = value
+    return found
 
 
 def known_parameters() -> list[str]:

@@ -11,8 +11,7 @@ from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.workspace import walls
 from redundant_planner.io.obstacle_entries import static_obstacles
-from redundant_planner.io.parameter_files import parameter_values
-from redundant_planner.io.renamed_parameters import translated
+from redundant_planner.io.parameter_files import flat, parameter_values
 
 # A configuration with its URDF has 0.1 MB, some thousand values and a depth of 5.
 _LONGEST = 2_000_000
@@ -37,7 +36,7 @@ def configuration_of(text: str, notes: list[str]) -> dict[str, Any]:
         values = parameter_values(content, 'it')
         if not all(isinstance(name, str) for name in values):
             raise PlannerError('a parameter has no name')
-        return translated(values, notes)
+        return flat(values)
     # PyYAML raises more than its own errors: a ValueError of a date, a RecursionError.
     except (yaml.YAMLError, ValueError, TypeError, ArithmeticError, RecursionError) as error:
         notes.append(f'the recorded configuration is unusable: {error}')

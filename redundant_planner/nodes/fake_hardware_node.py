@@ -19,7 +19,7 @@ from redundant_planner.nodes import messages, runtime
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.hardware_time import HardwareTime
 from redundant_planner.nodes.joint_messages import JointWriter
-from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
+from redundant_planner.nodes.ros_parameters import declare, refuse_unknown_parameters
 
 Array = npt.NDArray[np.float64]
 
@@ -37,8 +37,7 @@ class FakeHardwareNode(EndableNode):
         robot = declare(self, RobotParameters)
         settings = declare(self, FakeHardwareParameters)
         clock = declare(self, ClockParameters)
-        for sentence in unknown_parameters(self):
-            self.get_logger().warning(sentence)
+        refuse_unknown_parameters(self)
         urdf = urdf_text(robot)
         if not urdf:
             raise ParameterError("parameter 'urdf' is empty; give the URDF to simulate")

@@ -41,8 +41,8 @@ from redundant_planner.nodes.ros_parameters import (
     CAPSULE,
     declare,
     declare_entries,
+    refuse_unknown_parameters,
     STATIC_OBSTACLE,
-    unknown_parameters,
 )
 from redundant_planner.nodes.throttled_log import ThrottledLog
 from redundant_planner.nodes.transforms import transform_lookup
@@ -93,8 +93,7 @@ class MujocoHardwareNode(EndableNode):
         capsules = declare_entries(self, 'capsule', robot_parameters.capsules, CAPSULE)
         static = declare_entries(
             self, 'static_obstacle', settings.static_obstacles, STATIC_OBSTACLE)
-        for sentence in unknown_parameters(self):
-            logger.warning(sentence)
+        refuse_unknown_parameters(self)
         urdf = urdf_text(robot_parameters)
         if not urdf:
             raise ParameterError("parameter 'urdf' is empty; give the URDF to simulate")

@@ -33,7 +33,6 @@ from redundant_planner.io.perception_parameters import (
 )
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
 from redundant_planner.io.poses import POSE_SIZES
-from redundant_planner.io.renamed_parameters import what_became_of
 from redundant_planner.nodes.disputed_parameters import disputed
 from redundant_planner.nodes.rclpy_internals import given_parameters
 
@@ -157,16 +156,15 @@ def checked_entry(name: str, value: Any, size: Size) -> Any:
 _ROS = ('use_sim_time', 'start_type_description_service')
 
 
-def unknown_parameters(node: Node) -> list[str]:
-    """Return a sentence for every parameter that was given to a node and that nobody reads.
+def refuse_unknown_parameters(node: Node) -> None:
+    """Refuse parameters that were given to a node and that nobody reads.
 
-    rclpy ignores them without a word. Those of this package's other nodes are known, as the nodes
-    share their files; so are the entries of obstacles and capsules, where the node does not list
-    any.
+    rclpy ignores them without a word, and an arm without its misspelt speed limit would be
+    dangerous. Those of this package's other nodes are known, as the nodes share their files; so
+    are the entries of obstacles and capsules, where the node does not list any.
 
     Raises:
-        ParameterError: a name of version 0.1.0 was given, with what it is called now. An old
-            margin that silently no longer counts would be dangerous.
+        ParameterError: there are some; with the names that were probably meant.
     """
     names = {*_ROS, *node.list_parameters([], 0).names}
     for settings in SETTINGS:
@@ -182,12 +180,13 @@ def unknown_parameters(node: Node) -> list[str]:
             not_mine.append(f'{prefix}.')
     given = given_parameters(node)
     if given is None:
-        return ['this rclpy does not tell which parameters were given: a misspelt one stays '
-                'unnoticed']
-    old = [sentence for sentence in map(what_became_of, sorted(given)) if sentence]
-    if old:
-        raise ParameterError('; '.join(old))
-    return unknown_names((name for name in given if not name.startswith(tuple(not_mine))), names)
+        node.get_logger().warning('this rclpy does not tell which parameters were given: a '
+                                  'misspelt one stays unnoticed')
+        return
+    unknown = unknown_names(
+        (name for name in given if not name.startswith(tuple(not_mine))), names)
+    if unknown:
+        raise ParameterError('; '.join(unknown))
 
 
 def on_change(

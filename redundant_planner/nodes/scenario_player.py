@@ -18,7 +18,7 @@ from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes import messages, runtime
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.loop_clock import loop_clock
-from redundant_planner.nodes.ros_parameters import declare, unknown_parameters
+from redundant_planner.nodes.ros_parameters import declare, refuse_unknown_parameters
 
 # How often obstacles and preview are published before the motion [s].
 _ANNOUNCEMENTS = 0.2
@@ -35,8 +35,7 @@ class ScenarioPlayer(EndableNode):
         """
         super().__init__('scenario_player')
         settings = declare(self, PlayerParameters)
-        for sentence in unknown_parameters(self):
-            self.get_logger().warning(sentence)
+        refuse_unknown_parameters(self)
         if not settings.scenario:
             raise ParameterError("parameter 'scenario' is empty; give a scenario file")
         self._scenario = load_scenario(resolve(settings.scenario))

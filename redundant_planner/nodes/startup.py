@@ -16,7 +16,7 @@ from redundant_planner.io.parameter_files import RobotParameters, urdf_text
 from redundant_planner.io.robot_files import build_robot, joints_to_measure, locked_at
 from redundant_planner.nodes.description_topic import DescriptionTopic
 from redundant_planner.nodes.endable_node import EndableNode
-from redundant_planner.nodes.ros_parameters import unknown_parameters
+from redundant_planner.nodes.ros_parameters import refuse_unknown_parameters
 from redundant_planner.nodes.settings import Entries
 
 # After a robot could not be built from measured joints, how long until the next attempt [s].
@@ -64,8 +64,7 @@ class Startup:
         Raises:
             PlannerError: the parameters cannot be used.
         """
-        for sentence in unknown_parameters(self._node):
-            self._node.get_logger().warning(sentence)
+        refuse_unknown_parameters(self._node)
         urdf = urdf_text(self._parameters)
         if urdf:
             self._on_urdf(urdf)

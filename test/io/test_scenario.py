@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 import yaml
@@ -19,7 +17,6 @@ from redundant_planner.io.parameter_files import (
     settings_of,
 )
 from redundant_planner.io.recorded_configuration import configuration_of
-from redundant_planner.io.renamed_parameters import RENAMED
 from redundant_planner.io.resources import resolve, share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.io.scenario import load_scenario
@@ -199,72 +196,21 @@ def test_planner_files_name_only_parameters_that_exist(tmp_path):
             static_obstacles(values)
 
 
-def test_names_of_version_0_1_0_are_refused_with_the_new_ones(tmp_path):
-    path = tmp_path / 'old.yaml'
-    for old, message in (
-            ('horizon: 2.0', "'horizon' is called 'horizon.duration' now"),
-            ('drift_gain: 2.0', "'drift_gain' is called 'feedback.gain' now"),
-            ('damping: 0.1', "'damping' is not set any more: it is a constant now"),
-            ('horizon: {nodes: 8}', "'horizon.nodes' is not set any more: it is a constant now"),
-            ('locked_positions: [0.1]', "'locked_joints' takes 'joint=position' now"),
-            ('lock_where_measured: true', "'locked_joints' takes '*=measured' now"),
-            ('safety_filter: false', "'method: paper'")):
-        path.write_text(f'/**: {{ros__parameters: {{{old}}}}}')
-        with pytest.raises(ParameterError, match=re.escape(message)):
-            read_parameter_file(path)
-    today = set(known_parameters())
-    assert set(RENAMED.values()) <= today and not set(RENAMED) & today
-
-
-def test_a_configuration_recorded_by_version_0_1_0_is_translated():
-    text = """/**:
-      ros__parameters: {method: dynamic_factor, k_w: 2.0, horizon: 2.5, damping: 0.02,
-                        safety_filter: false, clearance_points: joints, rate: 100}"""
-    notes = []
-    values = configuration_of(text, notes)
-    parameters = settings_of(PlannerParameters, values)
-    assert not notes and values['rate'] == 100
-    assert parameters == PlannerParameters(
-        method='paper', criteria_k_w=2.0, horizon_duration=2.5, singularity_damping=0.02)
-
-
-def test_parameters_that_are_none_any_more_count_where_they_were_recorded():
-    text = """/**:
-      ros__parameters: {horizon_nodes: 8, horizon.held_duration: 0.5, tip_frame: tool,
-                        locked_joints: [a, b], locked_positions: [0.1, -0.25],
-                        lock_where_measured: true}"""
-    notes = []
-    values = configuration_of(text, notes)
-    assert not notes
-    assert settings_of(PlannerParameters, values) == PlannerParameters(
-        horizon_nodes=8, horizon_held_duration=0.5)
-    assert settings_of(RobotParameters, values).locked == {'a': 0.1, 'b': -0.25}
-
-
 @pytest.mark.parametrize('entry', ['a', 'a=', '=1.0', 'a=nan', '*=other'])
 def test_locked_joints_are_names_and_positions(entry):
     with pytest.raises(ParameterError, match=r"'joint=position'.* or '\*=measured'"):
         RobotParameters(locked_joints=('b=0.5', '*=measured', entry))
 
 
-@pytest.mark.parametrize(('old', 'method', 'note'), [
-    ('safety_filter: true, clearance_points: links', 'dynamic_factor', None),
-    ('safety_filter: false', 'dynamic_factor', 'other commands come out today'),
-    ('clearance_points: joints', 'dynamic_factor', 'other commands come out today'),
-    ('safety_filter: false, clearance_points: joints, method: variational', 'variational',
-     'other commands come out today'),
-    ('safety_filter: false, clearance_points: joints, influence_distance: .inf', 'paper', None),
-    ('safety_filter: false, clearance_points: joints, method: gradient_projection',
-     'paper_gradient_projection', None),
-    ('safety_filter: false, clearance_points: joints, drift_gain: 10.0', 'paper',
-     "'method: paper' now; that does not use 'feedback.gain'"),
-])
-def test_a_recorded_configuration_that_has_no_equal_today_is_noted(old, method, note):
-    given = f'method: dynamic_factor, {old}' if 'method' not in old else old
+def test_recorded_values_may_stand_in_groups_and_be_unknown_today():
+    text = """/**:
+      ros__parameters: {method: variational, criteria: {k_w: 2.0}, horizon.duration: 2.5,
+                        clearance_of_old: 0.02, rate: 100}"""
     notes = []
-    values = configuration_of(f'/**: {{ros__parameters: {{{given}}}}}', notes)
-    assert settings_of(PlannerParameters, values).method == method
-    assert len(notes) == (note is not None) and all(note in said for said in notes)
+    values = configuration_of(text, notes)
+    assert not notes and values['rate'] == 100
+    assert settings_of(PlannerParameters, values) == PlannerParameters(
+        method='variational', criteria_k_w=2.0, horizon_duration=2.5)
 
 
 @pytest.mark.parametrize('interpolation', ['linear', 'hold'])

@@ -14,6 +14,7 @@ from benchmark.controlled_loop import ControlledLoop
 from benchmark.following import clear, COMMANDS, GUILTY, guilty, INNOCENT, innocent
 from benchmark.ros2_control import OUTPUTS, POSITION, Settings, TRAJECTORY, VELOCITY
 from benchmark.scenarios import make_robot
+from redundant_planner.core.parameters import PlannerParameters
 
 PANDA = make_robot('panda', 6)
 READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
@@ -125,6 +126,20 @@ def test_at_equal_rates_the_arm_moves_as_smoothly_as_its_commands(output):
 def test_an_arm_that_is_late_or_loose_or_pushed_follows(case, output):
     outcome = innocent(case, output, 10.0, 3)
     assert outcome.alarms == 0 and outcome.restarts == 0
+
+
+@pytest.mark.parametrize('output, lag', [(VELOCITY, 0.2), (POSITION, 0.2), (TRAJECTORY, 0.1)])
+def test_a_slow_drive_that_coasts_to_rest_is_moved_by_nobody(output, lag):
+    """Behind a trajectory from where the arm is, the drive lags twice."""
+    run = behind(output, settings=Settings(lag=lag), parameters=PlannerParameters(drive_lag=0.2))
+    for sign in (1.0, -1.0, 1.0):
+        run.drive(sign * FORWARD)
+        run.run(2.0)
+    run.drive(None)
+    run.run(3.0)
+    assert not any('does not follow' in sentence or 'something else' in sentence
+                   for _, sentence in run.warnings)
+    assert np.abs(run.manager.q - run.commands().positions[-1]).max() < 1e-3
 
 
 def test_without_a_tolerance_nobody_says_anything():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 import time
+from types import SimpleNamespace
 
 import pytest
 import rclpy
@@ -13,9 +14,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
+from redundant_planner.core.errors import ParameterError
 from redundant_planner.nodes import rclpy_internals
 from redundant_planner.nodes.polled_subscription import PolledSubscription
-from redundant_planner.nodes.ros_parameters import unknown_parameters
+from redundant_planner.nodes.ros_parameters import refuse_unknown_parameters
 
 
 @contextmanager
@@ -70,7 +72,10 @@ def test_a_subscription_that_is_listed_elsewhere_stays_where_it_is():
 
 def test_an_rclpy_that_does_not_tell_which_parameters_were_given_is_mentioned():
     with lone_node('-p', 'typo:=1') as node:
-        assert unknown_parameters(node) == ["parameter 'typo' is not known"]
+        with pytest.raises(ParameterError, match="'typo' is not known"):
+            refuse_unknown_parameters(node)
         del node._parameter_overrides
-        sentence, = unknown_parameters(node)
-        assert 'unnoticed' in sentence
+        warned = []
+        node.get_logger = lambda: SimpleNamespace(warning=warned.append)
+        refuse_unknown_parameters(node)
+        assert len(warned) == 1 and 'unnoticed' in warned[0]

@@ -26,8 +26,8 @@ from redundant_planner.nodes.ros_parameters import (
     FakeHardwareParameters,
     parameter_page,
     PlannerNodeParameters,
+    refuse_unknown_parameters,
     STATIC_OBSTACLE,
-    unknown_parameters,
 )
 
 
@@ -113,7 +113,13 @@ def node_with(*arguments, name='planner_node'):
         rclpy.shutdown(context=context)
 
 
-def test_parameters_that_nobody_reads_are_named():
+def refused(node):
+    with pytest.raises(ParameterError) as refusal:
+        refuse_unknown_parameters(node)
+    return str(refusal.value)
+
+
+def test_parameters_that_nobody_reads_are_refused():
     given = {'horizon.look_aheed': 1.0, 'criteria.k_w': 2.0,
              'scenario': 'x', 'use_sim_time': False,
              'noise': 0.05, 'capsules': '[arm]', 'capsule.arm.radius': 0.1,
@@ -128,24 +134,21 @@ def test_parameters_that_nobody_reads_are_named():
     with node_with(*arguments) as node:
         declare(node, RobotParameters)
         declare(node, PlannerNodeParameters)
-        assert unknown_parameters(node) == [*wrong[:2], wall, wrong[2]]
+        assert refused(node) == '; '.join([*wrong[:2], wall, wrong[2]])
     with node_with(*arguments, name='fake_hardware_node') as node:  # shares the planner's file
         declare(node, RobotParameters)
         declare(node, FakeHardwareParameters)
-        assert unknown_parameters(node) == wrong
+        assert refused(node) == '; '.join(wrong)
 
 
 @pytest.mark.parametrize('node', ['planner_node', 'fake_hardware_node', 'scenario_player'])
-def test_a_file_of_version_0_1_0_ends_each_node_with_the_new_names(tmp_path, node):
-    path = tmp_path / 'old.yaml'
-    path.write_text(f'/**:\n  ros__parameters:\n    clearance_margin: 0.05\n    horizon: 2.0\n'
-                    f'    safety_filter: false\n    urdf: {ROBOTS}/paper_2p5r.urdf\n'
-                    '    tip_frame: tool_tip\n')
+def test_a_misspelt_parameter_ends_each_node_with_the_right_name(tmp_path, node):
+    path = tmp_path / 'misspelt.yaml'
+    path.write_text('/**:\n  ros__parameters:\n    limits.linear_sped: 0.1\n'
+                    f'    urdf: {ROBOTS}/paper_2p5r.urdf\n    tip_frame: tool_tip\n')
     status, said = run_node(node, '--params-file', str(path))
     assert status == 2 and 'Traceback' not in said, said
-    assert "parameter 'clearance_margin' is called 'clearance.margin' now" in said
-    assert "parameter 'horizon' is called 'horizon.duration' now" in said
-    assert "'safety_filter' is not set any more" in said and "'method: paper'" in said
+    assert "'limits.linear_sped' is not known; did you mean 'limits.linear_speed'?" in said
 
 
 @pytest.mark.parametrize('value', [

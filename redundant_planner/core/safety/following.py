@@ -179,6 +179,12 @@ def _behind(state: OutMatrix, i: int) -> float:
 
 
 @compiled
+def _of_what_is_left(moved: float, left: float) -> float:
+    """Return how much of a motion goes towards what is left of another [rad, m]."""
+    return min(max(moved, -abs(left)), abs(left)) if moved * left > 0.0 else 0.0
+
+
+@compiled
 def _watch(
     state: OutMatrix, travels: OutVector, dq: Vector, measured: Vector, ages: Vector,
     tolerance: float, lag: float, dt: float,
@@ -204,14 +210,16 @@ def _watch(
         off = measured[i] - state[_MEASURED, i]
         moved = off - min(max(off, -_NOISE), _NOISE)
         state[_MEASURED, i] += moved
-        lost, done = kept * state[_LOST, i] + told, 0.0
-        if moved * lost > 0.0:
-            done = min(max(_GAIN * moved, -abs(lost)), abs(lost))
-        beside = moved - done / _GAIN
+        lost = kept * state[_LOST, i] + told
+        done = _of_what_is_left(_GAIN * moved, lost)
         state[_LOST, i] = lost - done
         late_by = state[_WITHIN, i] + state[_BEFORE, i]
         explained = min(max(state[_OWED, i], -late_by), late_by)
-        state[_OWED, i] = explained + kept * (state[_OWED, i] - explained) + told - moved
+        owed = explained + kept * (state[_OWED, i] - explained) + told
+        state[_OWED, i] = owed - moved
+        # A late arm that coasts to rest does what it owes, and is moved by nobody.
+        caught_up = _of_what_is_left(moved, owed)
+        beside = moved - (caught_up if abs(caught_up) > abs(done) / _GAIN else done / _GAIN)
         state[_BESIDE, i] = kept_moves * state[_BESIDE, i] + beside
         state[_AWAY, i] = kept * state[_AWAY, i] + beside
         state[_TOLD, i] += abs(told)
