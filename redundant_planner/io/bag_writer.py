@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import contextlib
 from pathlib import Path
 from types import TracebackType
 
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.serde import SerdeError
 from rosbags.typesys import get_typestore, Stores
 
 from redundant_planner.io.bag_storage import RecordingError
@@ -20,6 +22,8 @@ Array = npt.NDArray[np.float64]
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
+# After a JointState without positions, velocities and efforts.
+_LONGEST_PADDING = 8
 
 
 class BagWriter:
@@ -57,7 +61,8 @@ class BagWriter:
 
     def write(self, topic: str, time_ns: int, message: bytes) -> None:
         """Append a CDR-serialised message received at `time_ns`."""
-        self._writer.write(self._connections[topic], time_ns, message)
+        connection = self._connections[topic]
+        self._writer.write(connection, time_ns, _without_padding(message, connection.msgtype))
 
     def flush(self) -> None:
         """Hand all messages to the system, so that they survive the process's sudden end.
@@ -89,6 +94,20 @@ class BagWriter:
         """Append a std_msgs/String."""
         message = TYPES.types['std_msgs/msg/String'](text)
         self.write(topic, time_ns, bytes(TYPES.serialize_cdr(message, 'std_msgs/msg/String')))
+
+
+def _without_padding(message: bytes, message_type: str) -> bytes:
+    """Return a JointState without the bytes that rclpy leaves after trailing empty lists.
+
+    They may be anything; rosbags takes such a message for a broken one.
+    """
+    if message_type != JOINT_STATE:
+        return message
+    for end in range(len(message), len(message) - _LONGEST_PADDING - 1, -4):
+        with contextlib.suppress(SerdeError):
+            TYPES.deserialize_cdr(message[:end], message_type)
+            return message[:end]
+    return message
 
 
 def message_type_known(message_type: str) -> bool:

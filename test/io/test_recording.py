@@ -7,6 +7,7 @@ from geometry_msgs.msg import Twist, Vector3
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -54,6 +55,25 @@ def test_a_bag_gives_back_what_was_recorded(tmp_path):
     assert recording.robot_description == '<robot/>'
     assert len(recording.commands.between(0.003, 0.013).times) == 3
     assert list((tmp_path / 'bag').glob('*.mcap'))
+
+
+@pytest.mark.parametrize('message', [
+    JointState(name=['a', 'b'], position=[0.5, 0.0], velocity=[0.0, 0.0]),
+    JointState(name=['a'], position=[0.5], velocity=[0.1], effort=[0.0]),
+    JointState(), Twist(), String(data='four zeros: \0\0\0\0\0\0\0\0')], ids=str)
+def test_what_rclpy_wrote_is_read_by_rosbags_itself(tmp_path, message):
+    """It pads a trailing empty list, and others take that for a broken message."""
+    kind = f'{type(message).__module__.split(".")[0]}/msg/{type(message).__name__}'
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.add_topic('/a', kind)
+        writer.write('/a', 5, serialize_message(message))
+    with AnyReader([tmp_path / 'bag']) as reader:
+        (connection, _, raw), = reader.messages()
+        read = reader.deserialize(raw, connection.msgtype)
+    if isinstance(message, JointState):
+        assert read.name == message.name
+        for field in ('position', 'velocity', 'effort'):
+            np.testing.assert_array_equal(getattr(read, field), getattr(message, field))
 
 
 def test_bad_bags_are_refused_with_what_is_missing(tmp_path):
