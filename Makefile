@@ -11,7 +11,7 @@ CHECKED = NUMBA_BOUNDSCHECK=1 $(VENV)/bin/python
 BOUNDS = $(addprefix bounds-,target safety core fuzz paper worst)
 LOWEST = $(VENV)-lowest
 
-.PHONY: demo play test lint bounds lowest docs clean
+.PHONY: demo play test test-long lint bounds lowest docs clean
 
 demo: $(VENV)/.demo-ready
 	$(VENV)/bin/demo --out demo_output
@@ -21,6 +21,10 @@ play: $(VENV)/.play-ready
 
 test: $(VENV)/.test-ready lint
 	$(VENV)/bin/python test/side_by_side.py
+
+# Every night: all tests, and those with random input in full.
+test-long: $(VENV)/.test-ready lint
+	$(VENV)/bin/python test/side_by_side.py --long
 
 lint: $(VENV)/.test-ready
 	$(VENV)/bin/ruff check .

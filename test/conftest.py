@@ -25,8 +25,9 @@ pytest.register_assert_rewrite('bench', 'live_helpers')
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # An example may take as long as a busy machine lets it.
-settings.register_profile('busy', deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile('busy')
+settings.register_profile(
+    'long', deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile('short', settings.get_profile('long'), max_examples=20)
 
 ROBOTS = share_directory() / 'config' / 'robots'
 EXAMPLE_ROBOTS = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share'
@@ -86,21 +87,31 @@ _WAITING = 0.1
 _MACHINE = pytest.StashKey[Standstill]()
 
 
-_OF_BENCHMARKS = ('test_ablation.py', 'test_benchmark.py', 'test_closest_approach.py',
-                  'test_problem_sets.py')
+def pytest_addoption(parser):
+    parser.addoption('--long', action='store_true',
+                     help='run the tests marked long, too, and those with random input in full')
+
+
+def pytest_configure(config):
+    settings.load_profile('long' if config.getoption('--long') else 'short')
+
+
+def examples(in_full: int) -> int:
+    """Return how many examples a test with random input takes; `in_full` with --long."""
+    share = settings().max_examples / settings.get_profile('long').max_examples
+    return max(round(share * in_full), 3)
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Mark what takes live processes, for side_by_side.py.
-
-    And what tests benchmark/, at the end: both cores are then busy for about as long.
-    """
+def pytest_collection_modifyitems(config, items):
+    """Leave out what is long, and mark what takes live processes, for side_by_side.py."""
     for item in items:
-        if (item.get_closest_marker('flaky') or 'paper_runs' in item.fixturenames
-                or item.path.name in _OF_BENCHMARKS):
+        if item.get_closest_marker('flaky') or 'paper_runs' in item.fixturenames:
             item.add_marker(pytest.mark.live)
-    items.sort(key=lambda item: item.path.name in _OF_BENCHMARKS)
+    if not config.getoption('--long'):
+        long = [item for item in items if item.get_closest_marker('long')]
+        items[:] = [item for item in items if item not in long]
+        config.hook.pytest_deselected(items=long)
 
 
 @pytest.hookimpl(tryfirst=True)

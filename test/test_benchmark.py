@@ -101,6 +101,7 @@ def test_the_judge_sees_every_kind_of_violation():
     assert verdict.limit_violation == pytest.approx(0.1)
 
 
+@pytest.mark.long
 def test_the_filter_hits_nothing_where_the_least_norm_hits():
     robot = make_panda()
     judge = Judge(robot)
@@ -135,6 +136,7 @@ def test_what_takes_too_long_to_evade_is_unavoidable():
         assert unavoidable(make_panda(acceleration_max=[acceleration] * 7), task) == expected
 
 
+@pytest.mark.long
 def test_the_upper_arm_turns_away_from_where_an_obstacle_is_going():
     """Which a barrier against where it is does not achieve."""
     robot = make_panda()
@@ -147,6 +149,7 @@ def test_the_upper_arm_turns_away_from_where_an_obstacle_is_going():
     assert hit.limit_violation == evades.limit_violation == 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(('axes', 'seed', 'around'), [
     (6, 30710, METHODS['variational_known']), (3, 30874, PlannerParameters())])
 def test_looking_ahead_finds_the_way_that_the_instant_misses(axes, seed, around):
@@ -186,6 +189,7 @@ def test_obstacles_of_every_shape_keep_off_the_start(clear_way):
         q = q + 0.17 * np.linalg.pinv(arm.jacobian) @ speed._TWIST
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('kind', KINDS)
 def test_crowds_are_made_of_obstacles_that_can_be(kind):
     robot, start = make_robot('panda', 6), speed.STARTS['panda']
@@ -239,6 +243,7 @@ def test_the_loops_obstacles_leave_the_start_free():
         assert pairs.normalized_distance.min() > 0.0
 
 
+@pytest.mark.long
 def test_an_arm_does_not_whip_off_its_path():
     """One that did: next to a singularity, around an obstacle, and 10.6 mm away."""
     robot = make_robot('panda', 6)
@@ -275,6 +280,7 @@ def test_reversals_are_counted_beyond_a_share_of_the_limit():
     assert reversals(np.zeros((0, 2)), most) == 0
 
 
+@pytest.mark.long
 def test_a_slow_noisy_arm_is_commanded_as_smoothly_as_an_ideal_one():
     """What the encoders say is late and noisy; the commands are not."""
     robot = make_robot('panda', 6)

@@ -50,12 +50,14 @@ def test_each_is_tested():
     assert [name for name in ALL if f"'{name}'" not in tested] == []
 
 
+@pytest.mark.long
 def test_a_twist_is_followed_at_more_than_the_margin(tmp_path):
     text = run('01_follow_a_twist.py', tmp_path)
     (clearance,) = numbers(r'smallest clearance: ([\d.]+) mm', text)
     assert 10.0 <= clearance < 20.0
 
 
+@pytest.mark.long
 def test_the_arm_stops_before_an_obstacle_and_says_why(tmp_path):
     text = run('02_obstacles.py', tmp_path)
     assert "near obstacle 'beam'" in text and '100% of the speed' in text
@@ -64,6 +66,7 @@ def test_the_arm_stops_before_an_obstacle_and_says_why(tmp_path):
     assert numbers(r'off the path: ([\d.]+) mm', text) == [0.0]
 
 
+@pytest.mark.long
 def test_the_arm_evades_and_the_tool_stays_put(tmp_path):
     text = run('03_moving_obstacles.py', tmp_path)
     assert numbers(r'smallest clearance: ([\d.]+) mm', text)[0] > 10.0
@@ -71,6 +74,7 @@ def test_the_arm_evades_and_the_tool_stays_put(tmp_path):
     assert max(numbers(r'up to ([\d.]+)', text)) > 0.02
 
 
+@pytest.mark.long
 def test_knowing_the_twists_to_come_shortens_the_joint_path(tmp_path):
     text = run('04_preview.py', tmp_path)
     for what in (r'joint path ([\d.]+)', r'squared velocities ([\d.]+)'):
@@ -94,7 +98,7 @@ def test_the_chunks_of_a_policy_are_followed_without_a_jump(tmp_path):
     assert numbers(r'largest acceleration: ([\d.]+)', text)[0] < 0.8
 
 
-@pytest.mark.parametrize('given', [False, True])
+@pytest.mark.parametrize('given', [False, pytest.param(True, marks=pytest.mark.long)])
 def test_an_arm_of_your_own_plans_from_its_urdf(given, tmp_path):
     before = repository()
     text = run('05_your_own_arm.py', tmp_path,
@@ -106,6 +110,7 @@ def test_an_arm_of_your_own_plans_from_its_urdf(given, tmp_path):
     assert not list(tmp_path.iterdir()) and repository() == before
 
 
+@pytest.mark.long
 def test_without_an_arm_the_example_says_where_to_get_one(tmp_path):
     code = ('import importlib.metadata as metadata, runpy, sys\n'
             'def files(name): raise metadata.PackageNotFoundError(name)\n'
@@ -117,6 +122,7 @@ def test_without_an_arm_the_example_says_where_to_get_one(tmp_path):
     assert done.returncode == 1 and 'pip install example-robot-data' in done.stderr
 
 
+@pytest.mark.long
 def test_the_methods_are_compared_in_numbers_and_a_picture(tmp_path):
     text = run('06_compare_methods.py', tmp_path, 'methods.png')
     squared = dict(re.findall(r'^(\w+) +[\d.]+ +([\d.]+) +[\d.]+ mm$', text, re.MULTILINE))

@@ -84,6 +84,7 @@ def test_they_keep_the_same_pairs_of_links_apart(name):
         assert closest > 0.0 if len(minded) else closest < -0.05
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name', METHODS)
 def test_they_stop_at_every_shape(name):
     robot = MAKERS['panda_position']()

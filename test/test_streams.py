@@ -39,6 +39,7 @@ def test_messages_are_as_their_input_says():
     assert len(wrong) == 5
 
 
+@pytest.mark.long
 def test_the_command_writes_all_its_numbers(tmp_path):
     out = tmp_path / 'streams.json'
     assert main(['--count', '1', '--seed', '0', '--input', '30 Hz', '--input', 'joints 10 Hz',

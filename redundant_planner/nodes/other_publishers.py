@@ -7,6 +7,7 @@ from typing import Any
 
 from rclpy.node import Node
 
+from redundant_planner.core.errors import known
 from redundant_planner.nodes.second_process import SUFFIX
 
 
@@ -20,6 +21,20 @@ def publishers_of(node: Node, topic: str) -> list[str]:
     name = node.resolve_topic_name(topic)
     return node_names(publisher for publisher in node.get_publishers_info_by_topic(name)
                       if not publisher.node_name.endswith(SUFFIX))
+
+
+def why_nothing_comes(node: Node, topic: str, kind: str) -> str:
+    """Return what may keep messages of a kind, 'package/msg/Name', on a topic from a node."""
+    name = node.resolve_topic_name(topic)
+    publishers = node.get_publishers_info_by_topic(name)
+    others = [publisher for publisher in publishers if publisher.topic_type != kind]
+    if not publishers:
+        return (f"nobody publishes on '{name}'; does the arm's driver run, in this ROS domain and "
+                'namespace?')
+    if others:
+        return (f"{known(node_names(others))} publishes '{others[0].topic_type}' on '{name}'; it "
+                f"must be '{kind}'")
+    return f"{known(node_names(publishers))} publishes on '{name}', and nothing has come yet"
 
 
 def node_names(publishers: Iterable[Any]) -> list[str]:

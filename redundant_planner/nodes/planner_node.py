@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+import math
 import time
 from typing import Any
 
@@ -42,7 +43,7 @@ from redundant_planner.nodes.last_word import LastWord, READY, STARTING
 from redundant_planner.nodes.loop_clock import loop_clock
 from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.obstacle_input import ObstacleInput
-from redundant_planner.nodes.other_publishers import publishers_of
+from redundant_planner.nodes.other_publishers import publishers_of, why_nothing_comes
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.reports import Reports
 from redundant_planner.nodes.ros_parameters import on_change, STATIC_OBSTACLE
@@ -60,6 +61,8 @@ _JOINT_STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT)
 _TARGETS = QoSProfile(depth=50)
 # How often the node looks for other publishers on its topics [s].
 _LOOK_AROUND = 0.5
+# How long the arm may take to say where it is before the log says that it waits [s].
+_HEARD_WITHIN = 2.0
 # How long changed parameters wait for others, so that one message has them all [s].
 _CONFIGURATION_PAUSE = 0.25
 # Period of /diagnostics and of ~/markers [s].
@@ -88,6 +91,8 @@ class PlannerNode(EndableNode):
         # First, as rclpy's constructor already calls `go_first`.
         self.loop: ControlLoop | None = None
         self._reports: Reports | None = None
+        self._began = math.inf  # when the loop did [s]
+        self._waits_for = ''  # what the log says that it waits for
         self._ticked_ahead = False  # whether a tick has run before the timer asked for it
         super().__init__('planner_node')
         self._last_word = last_word or LastWord.absent('not asked for')
@@ -210,7 +215,7 @@ class PlannerNode(EndableNode):
         """Start the loop's timer."""
         settings = self._settings.node
         wake_up_in_time()
-        self.loop = loop
+        self.loop, self._began = loop, loop.clock.now()
         self._timer = self.create_timer(
             1.0 / settings.rate, self._on_timer, clock=loop.clock.timers)
         if loop.clock.simulated:
@@ -295,12 +300,24 @@ class PlannerNode(EndableNode):
         state.unheard = output.unheard()
         if state.unheard not in (before, ''):
             self._warn(state.unheard)
+        self._say_what_is_waited_for(self.loop)
         before = state.last_word
         state.last_word = self._last_word.state(
             sum(state.listeners.get(name, 0) for name in NEVER_ENDING))
         if state.last_word not in (before, READY, STARTING):
             self._warn(f'without a last word: {state.last_word}; if this process died in motion, '
                        'its last command would stand')
+
+    def _say_what_is_waited_for(self, loop: ControlLoop) -> None:
+        """Say what may keep the arm's joint_states away, and again when that has changed."""
+        if loop.supervisor.heard_of_arm or loop.now - self._began < _HEARD_WITHIN:
+            return
+        waits_for = loop.state.hold if loop.supervisor.heard_of_others else (
+            'waiting for joint_states: '
+            + why_nothing_comes(self, 'joint_states', 'sensor_msgs/msg/JointState'))
+        if waits_for != self._waits_for:
+            self._warn(waits_for)
+            self._waits_for = waits_for
 
     def _move_ticks(self, loop: ControlLoop) -> None:
         """Have commands fall half way between measurements, where a controller takes positions.

@@ -130,6 +130,16 @@ class Supervisor:
         self.posture = posture
         self._measured_at[which] = now
 
+    @property
+    def heard_of_arm(self) -> bool:
+        """Whether any joint of the arm has been measured."""
+        return bool(np.isfinite(self._heard_at))
+
+    @property
+    def heard_of_others(self) -> bool:
+        """Whether joint_states of other joints than the arm's have come."""
+        return bool(self._others)
+
     def heard_others(self, joint_names: Sequence[str]) -> None:
         """Note joint_states of other joints than the arm's."""
         self._others = joint_names

@@ -18,7 +18,9 @@ from redundant_planner.analysis import metrics
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.figures import motion_picture
 from redundant_planner.analysis.report import write_report
+from redundant_planner.analysis.smallest_clearance import SmallestClearance
 from redundant_planner.core.errors import PlannerError, RobotError
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.recording import JointLog, read_recording, Recording
@@ -45,7 +47,8 @@ class Summary(NamedTuple):
         states: the measured motion.
         displacement: (n,) |end − start| of every joint [rad, m].
         path: (n,) Σ|Δq| of every joint, Eq. 10 [rad, m].
-        clearance: smallest S over whole links.
+        clearance: where a link was nearest to an obstacle; None without any.
+        distance: how near [m].
         path_error: largest distance of the tip from the commanded path [m].
         periods: of joint_command [s].
     """
@@ -53,7 +56,8 @@ class Summary(NamedTuple):
     states: JointLog
     displacement: Array
     path: Array
-    clearance: metrics.Clearance
+    clearance: metrics.Clearance | None
+    distance: float
     path_error: float
     periods: metrics.Periods
 
@@ -75,11 +79,14 @@ def summarise(robot: Robot, recording: Recording) -> Summary:
     # The line goes on straight where the message clock and the planner's differ by a tick.
     overrun = path[-1] + (path[-1] - path[-2]) if len(path) > 1 else path[-1]
     tips = metrics.tip_positions(robot, states.positions)
+    clearance = SmallestClearance(robot)
+    clearance.of(states.positions, Scene.of(recording.obstacles), 0)
     return Summary(
         states=states,
         displacement=metrics.displacement(states.positions),
         path=metrics.joint_path(states.positions),
-        clearance=metrics.smallest_clearance(robot, states.positions, recording.obstacles),
+        clearance=clearance.smallest,
+        distance=clearance.distance,
         path_error=float(metrics.distance_to_path(tips, np.vstack((path, overrun))).max()),
         periods=metrics.periods(recording.commands.between(begin, end).times))
 
@@ -89,8 +96,8 @@ def print_summary(
 ) -> None:
     """Print the tables of a run."""
     joints = Table(title=f"Scenario '{scenario.name}' on '{robot.name}', live")
-    for heading in ('joint', 'start', 'end', 'displacement', 'path Σ|Δq|'):
-        joints.add_column(heading, justify='left' if heading == 'joint' else 'right')
+    for heading in ('joint [rad, m]', 'start', 'end', 'displacement', 'path Σ|Δq|'):
+        joints.add_column(heading, justify='left' if 'joint' in heading else 'right')
     for i, name in enumerate(robot.joint_names):
         joints.add_row(name, *(f'{value:.4f}' for value in (
             summary.states.positions[0, i], summary.states.positions[-1, i],
@@ -100,9 +107,9 @@ def print_summary(
     motion = Table(show_header=False)
     clearance, periods = summary.clearance, summary.periods
     rows = {
-        'smallest whole-link clearance S': (
-            f'{clearance.level:.3f} ({clearance.link} to {clearance.obstacle})'
-            if clearance.link else 'no obstacle'),
+        'smallest distance of a link to an obstacle': (
+            f'{1e3 * summary.distance:.1f} mm ({clearance.link} to {clearance.obstacle})'
+            if clearance else 'no obstacle'),
         'largest distance from the commanded path': f'{1e3 * summary.path_error:.3f} mm',
         'joint path, all joints': f'{summary.path.sum():.4f} rad + m',
         '∫ q̇ᵀq̇ dt': f'{metrics.effort(summary.states.velocities, summary.states.times):.5f}',

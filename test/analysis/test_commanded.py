@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 from bags import ns, paper_motion
+from conftest import examples
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def limited(random, count, n=2):
     return np.cumsum(LIMIT * DT * changes, axis=0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(seed=st.integers(0, 10**6), jitter=st.floats(0.0, 0.9), parts=st.integers(1, 5))
 def test_stamps_that_jitter_add_no_acceleration(seed, jitter, parts):
     random = np.random.default_rng(seed)

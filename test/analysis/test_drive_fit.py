@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from conftest import examples
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ def driven(lag, dead_time, noise=0.0, seed=0, jitter=0.0, drift=0.0, seconds=4.0
                   measured + noise * random.normal(size=measured.shape))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(lag=st.sampled_from([0.0, 0.01, 0.03, 0.08]), dead_time=st.floats(0.0, 0.06),
        jitter=st.floats(0.0, 1.0), seed=st.integers(0, 10**6))
 def test_lag_and_dead_time_are_found_through_noise(lag, dead_time, jitter, seed):

@@ -119,6 +119,7 @@ def test_of_ten_thousand_obstacles_the_page_shows_the_nearest(tmp_path):
     assert 'the 3-D view leaves out up to' in page
 
 
+@pytest.mark.long
 @LIVE
 @pytest.mark.parametrize(('width', 'height'), [(1200, 900), (400, 800)])
 def test_the_view_plays_without_an_error_on_a_screen_and_on_a_phone(

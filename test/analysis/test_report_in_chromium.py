@@ -77,8 +77,9 @@ def analyses(tmp_path_factory):
     return found
 
 
-@pytest.mark.parametrize('bags', [1, 2])
-@pytest.mark.parametrize('width', [400, 1280])
+@pytest.mark.parametrize('width, bags', [
+    (1280, 1), *(pytest.param(*other, marks=pytest.mark.long)
+                 for other in ((1280, 2), (400, 1), (400, 2)))])
 def test_it_fits_is_drawn_at_once_and_plays(analyses, tmp_path, bags, width):
     result = seen(tmp_path, page_of(analyses[:bags]), width)
     assert result['troubles'] == []
@@ -96,6 +97,7 @@ def test_it_fits_is_drawn_at_once_and_plays(analyses, tmp_path, bags, width):
     assert min(result['curves']) > 50 and not result['bad']
 
 
+@pytest.mark.long
 def test_light_and_dark_follow_the_system(analyses, tmp_path):
     page = page_of(analyses[:1])
     assert seen(tmp_path, page, 800)['background'] == 'rgb(255, 255, 255)'

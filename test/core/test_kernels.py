@@ -52,7 +52,8 @@ def motion(method: str) -> list[list[float]]:
     return rows
 
 
-@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
+@pytest.mark.parametrize('method', [
+    'dynamic_factor', pytest.param('variational', marks=pytest.mark.long)])
 def test_machine_code_does_what_the_python_does(method):
     code = f'import json, test_kernels; print(json.dumps(test_kernels.motion({method!r})))'
     here = Path(__file__).parent
@@ -87,6 +88,7 @@ class Split(NamedTuple):
     total: float
 
 
+@pytest.mark.long
 def test_records_cross_over_to_an_entry_and_back():
     @entry
     def split(pair: Halves, share: float) -> Split:
@@ -123,6 +125,7 @@ class Lot(NamedTuple):
     share: float
 
 
+@pytest.mark.long
 def test_what_is_packed_crosses_over_whole_and_shows_what_is_written():
     @entry
     def use(lot: Packed[Lot], first: float) -> Lot:
@@ -203,6 +206,7 @@ def test_what_a_compiled_function_returns_is_the_callers_to_keep(share):
     np.testing.assert_array_equal(end, [2.0, 4.0])
 
 
+@pytest.mark.long
 def test_what_an_entry_returns_is_the_callers_to_keep():
     @entry
     def parts(pair: Halves, plain: Vector) -> Halves:
@@ -264,6 +268,7 @@ def test_damaged_machine_code_is_not_kept(tmp_path, how):
     assert not bad.exists() and len(list(tmp_path.glob('*.nb?'))) == 2
 
 
+@pytest.mark.long
 def test_a_start_with_damaged_machine_code_compiles_it_anew(tmp_path):
     """Each kept file of a module spoilt in some way; the module works, and is kept again."""
     code = ('import numpy as np; from redundant_planner.core.robot import jacobian; '
@@ -286,6 +291,7 @@ def test_a_start_with_damaged_machine_code_compiles_it_anew(tmp_path):
     assert not start()[1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('lost', ['null_space', 'criteria'])
 def test_machine_code_of_two_processes_fits_together(tmp_path, lost):
     """One process keeps a function, another the one that it calls."""

@@ -35,6 +35,7 @@ def ordinary(tmp_path_factory) -> Any:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('broken, reason', [
     ('newer', 'Numba 99.1.0rc1 has not been tried'),
     ('moved', "ImportError: cannot import name 'populate_array'"),
@@ -54,6 +55,7 @@ def test_with_another_numba_functions_are_compiled_plainly(tmp_path, ordinary, b
     assert again == {**ordinary, 'kept': True}
 
 
+@pytest.mark.long
 def test_where_machine_code_cannot_be_kept_it_is_compiled_at_each_start(tmp_path, ordinary):
     for _ in range(2):
         found, complaint = start(tmp_path, 'uncached')
@@ -61,6 +63,7 @@ def test_where_machine_code_cannot_be_kept_it_is_compiled_at_each_start(tmp_path
     assert not list(tmp_path.rglob('*.nb?'))
 
 
+@pytest.mark.long
 def test_checked_machine_code_is_not_taken_for_unchecked_nor_plain(tmp_path, ordinary):
     """All kinds side by side in one folder, each compiled once."""
     assert ordinary['notices'] == [False, False]

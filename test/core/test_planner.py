@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from closed_loop import drive, DT, NOTHING, smallest_level
-from conftest import make_panda, make_paper_arm, make_planar, PANDA_READY, random_postures
+from conftest import (
+    examples,
+    make_panda,
+    make_paper_arm,
+    make_planar,
+    PANDA_READY,
+    random_postures,
+)
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -295,7 +302,7 @@ def test_too_fast_a_command_is_slowed_in_its_own_direction(panda):
     np.testing.assert_allclose(a, b, atol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 10**6), st.floats(-3.0, 300.0),
        st.sampled_from([0, 1, 2, 3, 5, 8, 30, 300]))
 def test_limits_hold_whatever_comes(seed, magnitude, obstacles):

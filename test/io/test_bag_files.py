@@ -11,6 +11,7 @@ import sys
 
 from backports import zstd
 from bags import KINDS, ns
+from conftest import examples
 from hypothesis import given, settings, strategies as st
 import lz4.frame
 import numpy as np
@@ -93,7 +94,7 @@ def test_metadata_that_lies_changes_nothing(tmp_path):
     assert numbers_in(bag) == (list(range(COUNT)), [])
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(data=st.data())
 def test_whatever_is_done_to_a_file_the_rest_is_read_or_it_is_refused(
         sound, tmp_path_factory, data):

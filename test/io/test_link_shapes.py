@@ -8,7 +8,7 @@ import re
 import shutil
 import struct
 
-from conftest import EXAMPLE_ROBOTS, PANDA_URDF, planar_urdf
+from conftest import EXAMPLE_ROBOTS, examples, PANDA_URDF, planar_urdf
 from hypothesis import given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
@@ -300,7 +300,7 @@ def test_a_fit_with_a_joint_locked_elsewhere_is_another_one(tmp_path, monkeypatc
 
 
 @given(data=st.data())
-@settings(max_examples=40, deadline=None,
+@settings(max_examples=examples(40), deadline=None,
           suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_damaged_cache_is_recognised_and_made_anew(cached, data):
     robot, fits, file = cached

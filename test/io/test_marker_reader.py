@@ -6,6 +6,7 @@ import contextlib
 import time
 
 from builtin_interfaces.msg import Duration, Time
+from conftest import examples
 from geometry_msgs.msg import Point
 from hypothesis import given, settings, strategies as st
 import numpy as np
@@ -71,7 +72,7 @@ def check(message):
             assert np.isnan(twist).all()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(st.lists(markers(), max_size=6))
 def test_any_mixture_of_markers_reads_as_rclpy_reads_it(listed):
     check(MarkerArray(markers=listed))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from builtin_interfaces.msg import Time
+from conftest import examples
 from geometry_msgs.msg import Point
 from hypothesis import given, settings, strategies as st
 import numpy as np
@@ -457,7 +458,7 @@ def messages(draw, before):
     return told
 
 
-@settings(deadline=None, max_examples=120)
+@settings(deadline=None, max_examples=examples(120))
 @given(st.data())
 def test_any_sequence_of_messages_leads_where_its_markers_lead_one_by_one(data):
     def transform(frame):

@@ -55,6 +55,7 @@ def value(ros, key):
     return {v.key: v.value for s in ros.statuses[-1:] for v in s.values}.get(key)
 
 
+@pytest.mark.long
 def test_a_thing_is_taken_carried_past_others_and_let_go(ros, tmp_path):
     """It turns out of the way, is no obstacle meanwhile, and its bag replays."""
     there = [Obstacle('rod/0', TIP, (0.02, 0.02, 0.02)),

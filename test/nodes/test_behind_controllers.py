@@ -19,6 +19,9 @@ from redundant_planner.core.parameters import PlannerParameters
 PANDA = make_robot('panda', 6)
 READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 FORWARD = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+# Those that contain the others.
+OF_SEVERAL_KINDS = ('both', '20 Hz and 100 ms late', 'play of 10 mrad', 'pushes of 50 mm',
+                    'stops of 20 to 300 ms')
 STARTS = 1.5  # the planner listens before it moves the arm [s]
 
 
@@ -122,7 +125,9 @@ def test_at_equal_rates_the_arm_moves_as_smoothly_as_its_commands(output):
     assert (np.abs(moved[50:]).max(axis=1) > 0.0).all()
 
 
-@pytest.mark.parametrize('case, output', list(zip(INNOCENT, cycle(OUTPUTS))))
+@pytest.mark.parametrize('case, output', [
+    pytest.param(case, output, marks=[] if case in OF_SEVERAL_KINDS else pytest.mark.long)
+    for case, output in zip(INNOCENT, cycle(OUTPUTS))])
 def test_an_arm_that_is_late_or_loose_or_pushed_follows(case, output):
     outcome = innocent(case, output, 10.0, 3)
     assert outcome.alarms == 0 and outcome.restarts == 0

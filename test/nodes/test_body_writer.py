@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_panda, PANDA_READY
+from conftest import examples, make_panda, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 from rclpy.serialization import deserialize_message
@@ -18,7 +18,7 @@ HELD = PANDA.holding([Obstacle.box('box', (0.0, 0.0, 0.15), (0.05, 0.05, 0.1))])
 numbers = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(np.array)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(numbers, numbers, st.sampled_from([PANDA, HELD]))
 def test_the_capsules_arrive_where_they_are_and_move_as_they_do(turn, dq, robot):
     tracker, q = ObstacleTracker((), [robot.base_frame]), PANDA_READY + turn

@@ -119,6 +119,7 @@ def replays(ros, folder):
     return inputs
 
 
+@pytest.mark.long
 def test_a_policy_of_joints_and_a_trajectory_and_their_bag_replays(ros, tmp_path):
     # A chunk of 0.8 s every 0.4 s, on one motion of 3 s, each some milliradians beside it.
     random, begin, sent = np.random.default_rng(1), now(ros) + 0.2, 0
@@ -163,6 +164,7 @@ def test_a_policy_of_joints_and_a_trajectory_and_their_bag_replays(ros, tmp_path
     assert sum(tick.goes_on for _, tick in inputs.ticks) > 500
 
 
+@pytest.mark.long
 def test_a_path_of_the_tip_and_a_twist_that_ends_it(ros, tmp_path):
     begin = ROBOT.kinematics(ros.state(NAMES))
     first = now(ros) + 0.1

@@ -246,6 +246,7 @@ def test_what_a_camera_sees_of_an_obstacle_is_covered_and_gone_with_it():
         ros.wait_for(lambda: len(seer.cubes()) == 0, 'the way free')
 
 
+@pytest.mark.long
 def test_a_panda_passes_what_only_a_camera_sees_and_its_bag_replays_exactly(tmp_path):
     """Camera, cloud_obstacles and planner_node; the carton itself is judged, not its voxels."""
     file = ROBOTS.parent / 'scenarios' / 'panda_camera.yaml'

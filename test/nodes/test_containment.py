@@ -135,8 +135,8 @@ def test_a_crowd_of_requests_does_not_come_between_two_commands(bench):
 
 
 @pytest.mark.parametrize('end, status', [
-    ('kill', -signal.SIGKILL), ('segfault', -signal.SIGSEGV), ('system_exit', 3),
-    ('bad_finish', 4)])
+    ('kill', -signal.SIGKILL), *(pytest.param(*end, marks=pytest.mark.long) for end in (
+        ('segfault', -signal.SIGSEGV), ('system_exit', 3), ('bad_finish', 4)))])
 def test_whatever_ends_the_process_its_last_command_is_a_smooth_stop(own_bench, end, status):
     ros, planner = own_bench.ros, own_bench.planner
     second = second_process(planner)
@@ -205,6 +205,7 @@ def test_negative_time_stops_the_arm_and_says_so():
         assert planner.poll() is None
 
 
+@pytest.mark.long
 def test_the_other_process_leaves_with_the_planner(own_bench):
     """And no sooner: it is deaf to the signals that end the planner."""
     planner = own_bench.planner

@@ -1,4 +1,4 @@
-"""robot_description as it comes: late, unexpanded, again, and changed while the arm moves."""
+"""What the planner waits for, and robot_description: late, unexpanded, again, and changed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from bench import ARM_VALUES, FILE
 from conftest import ROBOTS
 from live_helpers import LIVE, station
 import numpy as np
+import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
@@ -31,6 +32,7 @@ def says(said, *words):
     return lambda: any(all(word in line for word in words) for line in said)
 
 
+@pytest.mark.long
 def test_a_late_description_is_waited_for_and_an_unexpanded_one_is_refused_by_joint():
     with station() as (ros, processes):
         said, description = listen(ros)
@@ -75,3 +77,18 @@ def test_the_same_again_is_nothing_and_a_changed_one_is_said_while_the_arm_moves
         ros.drive(FORWARD / 4.0, 0.5)
         assert said.count(changed) == 2
         assert all(np.any(message.velocity) for message in ros.commands)
+
+
+def test_an_arm_that_does_not_say_where_it_is_is_waited_for_in_words():
+    with station() as (ros, processes):
+        said, description = listen(ros)
+        description.publish(String(data=TEXT))
+        processes.start('planner_node', values=WAITING)
+        ros.wait_for(says(said, "waiting for joint_states: nobody publishes on '/joint_states'"),
+                     'word of nobody')
+        ros.node.create_publisher(String, 'joint_states', 1)
+        ros.wait_for(says(said, "'/station' publishes 'std_msgs/msg/String' on '/joint_states'; "
+                                "it must be 'sensor_msgs/msg/JointState'"), 'word of the type')
+        processes.start('fake_hardware_node', FILE, ARM_VALUES)
+        ros.drive_until(FORWARD, ros.moves, 'motion')
+        assert sum('waiting for joint_states' in line for line in said) == 2

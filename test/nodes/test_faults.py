@@ -46,6 +46,7 @@ def test_joint_states_stop(bench):
     assert_smooth(bench.ros.commands)
 
 
+@pytest.mark.long
 def test_joint_states_turn_into_nonsense(bench):
     """Good states stop while bad ones stream in."""
     names = list(ARM.joint_names)
@@ -248,6 +249,7 @@ def test_markers_show_the_planners_world_to_whoever_looks():
         assert float(values['nearest distance [m]']) > 0.0
 
 
+@pytest.mark.long
 def test_two_arms_in_namespaces_do_not_disturb_each_other():
     with station() as (ros, processes):
         heard = {name: [] for name in ('left', 'right')}

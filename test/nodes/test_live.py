@@ -58,7 +58,7 @@ def test_the_papers_motion_live(paper_runs):
     robot = scenario.load_robot()
     summary = summarise(robot, recording)
     assert summary.path_error < 1e-3
-    assert summary.clearance.level > 0.0 and summary.clearance.obstacle == 'ellipsoid/0'
+    assert summary.distance > 0.0 and summary.clearance.obstacle == 'ellipsoid/0'
     moved = (robot.kinematics(summary.states.positions[-1]).tip_position
              - robot.kinematics(summary.states.positions[0]).tip_position)
     np.testing.assert_allclose(moved, [-0.087, -0.150, 0.011], atol=2e-3)
@@ -72,7 +72,7 @@ def test_looking_ahead_live_takes_the_shorter_joint_path(paper_runs):
     length = {}
     for method in ('dynamic_factor', 'variational'):
         summary = summarise(robot, read_recording(paper_runs[method]))
-        assert summary.path_error < 1e-3 and summary.clearance.level > 0.0
+        assert summary.path_error < 1e-3 and summary.distance > 0.0
         length[method] = summary.path.sum()
     assert length['variational'] < 0.93 * length['dynamic_factor']
 
@@ -305,9 +305,8 @@ PLANNER_FAULTS = [
     ([*FROM_FILE, '-p', 'axes:=[vx, up]'], "'axes' is 'up'; it must be one of"),
     ([*FROM_FILE, '-p', 'criteria.joint_weights:=[1.0]'],
      "'criteria.joint_weights' has 1 entries; it takes 7"),
-    ([*FROM_FILE, '-p', 'joint_weights:=[1.0]', '-p', 'marker_rate:=9'],
-     "'joint_weights' is called 'criteria.joint_weights' now; parameter 'marker_rate' is not set "
-     'any more: it is a constant now'),
+    ([*FROM_FILE, '-p', 'limits.linear_sped:=0.1'],
+     "'limits.linear_sped' is not known; did you mean 'limits.linear_speed'?"),
     ([*FROM_FILE, '-p', 'static_obstacles:=[o]'], "obstacle 'o' lacks 'center'"),
     ([*FROM_FILE, '-p', 'static_obstacles:=[o]', '-p', 'static_obstacle.o.center:=[0.0, 0.0]'],
      "'static_obstacle.o.center' is [0.0, 0.0]; it takes 3 finite numbers"),

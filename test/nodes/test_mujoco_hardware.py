@@ -11,6 +11,7 @@ from conftest import make_panda, PANDA_READY, PANDA_URDF, ROBOTS
 from diagnostic_msgs.msg import DiagnosticArray
 from live_helpers import LIVE, PATIENCE, run_node, station
 import numpy as np
+import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
@@ -73,6 +74,7 @@ def test_an_arm_with_mass_is_driven_among_obstacles():
         assert touched['other'].startswith('wall') and touched['link'] in NEAR_THE_HAND
 
 
+@pytest.mark.long
 def test_with_a_clock_planner_and_arm_go_in_step():
     """Every period has one command, for as much as this machine is busy, and none comes late."""
     with station() as (live, processes):
@@ -119,6 +121,7 @@ def test_without_mujoco_it_says_what_to_install(tmp_path):
     assert "pip install 'redundant_planner[mujoco]'" in done.stderr
 
 
+@pytest.mark.long
 def test_no_other_node_needs_mujoco(tmp_path):
     (tmp_path / 'mujoco.py').write_text('raise ImportError\n')
     names = ('planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles')

@@ -59,6 +59,7 @@ def test_a_profile_in_the_working_directory_is_a_choice(monkeypatch, tmp_path):
     assert os.environ == {RANGE: 'LOCALHOST'}
 
 
+@pytest.mark.long
 @LIVE
 @pytest.mark.parametrize('discovery_range', ['LOCALHOST', 'SUBNET'])
 def test_twenty_nodes_join_and_leave_or_hang_or_are_killed(machine, discovery_range):

@@ -37,6 +37,7 @@ def preferred(ros):
     return list(answer.values[0].string_array_value)
 
 
+@pytest.mark.long
 def test_a_posture_is_set_live_and_the_elbow_goes_there(ros):
     ros.posture.publish(JointState(name=['panda_joint3'], position=[0.4]))
     ros.wait_for(lambda: preferred(ros) == ['panda_joint3=0.4'], 'the posture')

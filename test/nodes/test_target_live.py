@@ -125,6 +125,7 @@ def test_to_a_pose_and_on_from_there_and_its_bag_replays(ros, tmp_path):
                        '--method', 'variational']) == 0
 
 
+@pytest.mark.long
 def test_around_a_wall_and_its_bag_replays(ros, tmp_path):
     """The line to the target leads through the wall; the planner finds a way around it."""
     goal = PANDA_READY + np.array([1.5, 0.3, 0.0, -0.2, 0.0, 0.0, 0.0])
@@ -149,6 +150,7 @@ def test_around_a_wall_and_its_bag_replays(ros, tmp_path):
     assert motion.to_obstacles((wall,), 0.004).distance > 0.005
 
 
+@pytest.mark.long
 def test_to_joint_positions_and_its_bag_replays(ros, tmp_path):
     joints = ros.node.create_publisher(JointState, 'target_joints', 10)
     ros.wait_for(joints.get_subscription_count, 'listener')
@@ -183,6 +185,7 @@ def test_to_joint_positions_and_its_bag_replays(ros, tmp_path):
                        '--method', 'variational']) == 0
 
 
+@pytest.mark.long
 def test_a_stream_in_bursts_is_followed_without_a_thought_and_its_bag_replays(ros, tmp_path):
     """A circle at 72 Hz that comes once in 0.1 s, by stamps of a clock of its own."""
     begin, there = time.monotonic(), tip(ros)

@@ -23,6 +23,7 @@ def result(tmp_path_factory):
     return json.loads((folder / 'all.json').read_text())
 
 
+@pytest.mark.long
 def test_table_1(result):
     assert result['table1_max_error']['gradient_projection'] < 0.003
     assert result['table1_max_error']['dynamic_factor'] < 0.002

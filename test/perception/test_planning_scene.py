@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_panda
+from conftest import examples, make_panda
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pinocchio as pin
@@ -506,7 +506,7 @@ SCENES = st.builds(
         st.lists(st.tuples(NAMES, st.booleans()), max_size=2)), OCTOMAPS)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.lists(st.one_of(THINGS, HELD, SCENES), min_size=1, max_size=6))
 def test_no_message_makes_an_exception_and_all_markers_can_be_used(messages):
     """Whatever comes: sentences, and markers that a planner takes as they are."""

@@ -63,6 +63,7 @@ def test_pictures_come_back_from_a_film(tmp_path):
     np.testing.assert_allclose(pictures(path), given, atol=8)
 
 
+@pytest.mark.long
 def test_an_arm_is_drawn_where_there_is_opengl(tmp_path):
     """Where there is none, the reason is told; where there is one, the pictures differ."""
     path = tmp_path / 'arm.gif'

@@ -118,6 +118,7 @@ def memory_of(process):
     return int(re.search(r'RssAnon:\s+(\d+)', status).group(1)) / 1024
 
 
+@pytest.mark.long
 def test_a_flood_of_watchers_neither_keeps_the_arm_moving_nor_takes_memory(tmp_path):
     with driven(tmp_path) as page, ExitStack() as flood:
         page.hold(0.5)

@@ -227,6 +227,7 @@ def test_a_key_moves_the_arm_its_release_stops_it_and_so_does_a_closed_page(tmp_
         assert not watcher.errors
 
 
+@pytest.mark.long
 @IN_BROWSER
 def test_the_button_that_drives_by_sliders_is_held_like_its_key(tmp_path):
     with playground(tmp_path) as (_, url), Chromium() as chromium:
@@ -267,6 +268,7 @@ def test_the_button_that_drives_by_sliders_is_held_like_its_key(tmp_path):
         assert not page.errors
 
 
+@pytest.mark.long
 @IN_BROWSER
 def test_an_obstacle_that_is_dragged_into_the_way_stops_the_arm(tmp_path):
     with playground(tmp_path) as (arm, url), Chromium() as chromium:
@@ -307,6 +309,7 @@ def test_an_obstacle_that_is_dragged_into_the_way_stops_the_arm(tmp_path):
         assert not page.errors
 
 
+@pytest.mark.long
 @IN_BROWSER
 def test_the_arm_goes_where_its_handle_is_dragged(tmp_path):
     with playground(tmp_path) as (arm, url), Chromium() as chromium:
@@ -327,6 +330,7 @@ def test_the_arm_goes_where_its_handle_is_dragged(tmp_path):
         assert not page.errors
 
 
+@pytest.mark.long
 @IN_BROWSER
 def test_a_page_that_sends_nonsense_and_many_clicks_at_once(tmp_path):
     with playground(tmp_path) as (arm, url), Chromium() as chromium:
@@ -368,6 +372,7 @@ def test_a_page_that_sends_nonsense_and_many_clicks_at_once(tmp_path):
         assert before + 60 < MOST_ITEMS
 
 
+@pytest.mark.long
 @IN_BROWSER
 def test_attached_it_only_watches(tmp_path):
     with station() as (ros, processes):
@@ -403,6 +408,7 @@ def test_attached_it_only_watches(tmp_path):
             assert process.wait(PATIENCE) == 0, log.read_text()
 
 
+@pytest.mark.long
 @IN_BROWSER
 def test_two_arms_are_driven_one_after_the_other(tmp_path):
     with playground(tmp_path) as (arm, url), Chromium() as chromium:

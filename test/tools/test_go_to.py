@@ -78,6 +78,7 @@ def end(ros, process):
     return process.returncode, out, err
 
 
+@pytest.mark.long
 @pytest.mark.live
 @LIVE
 def test_there_blocked_and_stopped_by_ctrl_c():
@@ -152,6 +153,7 @@ def far(ros):
     return ['--position', *(f'{number:.5f}' for number in place), '--wait']
 
 
+@pytest.mark.long
 @pytest.mark.live
 @LIVE
 def test_ctrl_c_twice_stops_the_arm_and_leaves_no_pause():
@@ -170,6 +172,7 @@ def test_ctrl_c_twice_stops_the_arm_and_leaves_no_pause():
         assert ros.call(SetBool, 'pause', SetBool.Request(data=True)).message != PAUSED_ALREADY
 
 
+@pytest.mark.long
 @pytest.mark.live
 @LIVE
 def test_somebody_elses_pause_goes_on_and_a_planner_that_ends_is_missed():

@@ -86,6 +86,7 @@ class TestLive:
 
     pytestmark = LIVE
 
+    @pytest.mark.long
     def test_a_small_motion_tells_how_late_fake_hardware_is(self, tmp_path):
         names = [f'panda_joint{i}' for i in range(1, 8)]
         file = tmp_path / 'delay.json'

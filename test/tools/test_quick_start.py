@@ -86,6 +86,7 @@ def test_the_arm_moves_on_the_first_twist_and_ctrl_c_ends_everything(tmp_path):
             quick.process.kill()
 
 
+@pytest.mark.long
 @pytest.mark.live
 @LIVE
 def test_where_an_arm_runs_already_it_does_not_start_another(tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from closed_loop import random_scene
-from conftest import make_panda, make_paper_arm, MAKERS, PANDA_READY, random_postures
+from conftest import examples, make_panda, make_paper_arm, MAKERS, PANDA_READY, random_postures
 from hypothesis import given, settings, strategies as st
 import numpy as np
 from path_problem import problem, smooth
@@ -158,7 +158,7 @@ def test_a_resting_arm_stays_where_it_is(panda):
         assert np.abs(postures - PANDA_READY).max() < 1e-6
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(st.integers(0, 10**6), st.booleans())
 def test_limits_hold_whatever_is_commanded_and_whatever_appears(seed, known):
     """Reversals, jumps of the command, obstacles that come, go and move, poses out of reach."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from closed_loop import DT
-from conftest import make_panda, make_paper_arm
+from conftest import examples, make_panda, make_paper_arm
 from hypothesis import given, settings, strategies as st
 import numpy as np
 from path_problem import problem
@@ -21,7 +21,7 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.paper.experiment import paper_scenario
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(2, 12), dt=st.floats(0.0, 2.0))
 def test_a_plan_is_moved_on_by_interpolation(seed, count, dt):
     random = np.random.default_rng(seed)

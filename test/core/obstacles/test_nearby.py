@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_panda, make_paper_arm, random_postures
+from conftest import examples, make_panda, make_paper_arm, random_postures
 from hypothesis import example, given, settings, strategies as st
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def cloud(count, seed, extent=1.5, speed=0.0):
                  velocity=speed * random.normal(size=3)) for i in range(count))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(st.integers(0, 10**6), st.floats(0.0, 0.3), st.floats(0.01, 0.4))
 def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach):
     """Against all distances, at postures that random motion leads to."""
@@ -54,7 +54,7 @@ def test_what_is_left_out_is_out_of_reach_as_long_as_it_holds(seed, step, reach)
     assert not around.hold(cloud(60, seed, speed=0.2), arm, limit)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(st.integers(0, 10**6), st.integers(1, 40), st.floats(0.0, 3.0))
 def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed, most, reach):
     scene = cloud(60, seed, speed=0.2)
@@ -103,7 +103,7 @@ def chosen(scene, arm, reach, most, most_ahead):
         return surroundings(scene, KEPT, arm, reach, COURSE)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(st.integers(0, 10**6), st.integers(1, 40), st.integers(1, 40))
 @example(1205, 1, 1)
 def test_long_ones_are_chosen_as_if_each_were_alone(seed, most, most_ahead):

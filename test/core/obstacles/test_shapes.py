@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import coal
+from conftest import examples
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 import numpy as np
@@ -50,7 +51,7 @@ def distances_at(obstacle, places):
     return link_clearance(maps, places, places).distance[:, 0]
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 @given(kinds, halves, points, points)
 def test_the_smallest_distance_along_a_segment_is_exact(shape, half, start, end):
     obstacle = made(shape, np.zeros(3), half)
@@ -67,7 +68,7 @@ def test_the_smallest_distance_along_a_segment_is_exact(shape, half, start, end)
     assert bounded.distance[0, 0] == distance >= bounded.distance[0, 1] - 1e-12
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 @given(kinds, halves, points, arrays(float, 3, elements=st.floats(-1.0, 1.0)))
 def test_the_slope_leads_out_by_the_shortest_way(shape, half, at, step):
     obstacle = made(shape, np.zeros(3), half)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from conftest import examples
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pinocchio as pin
@@ -59,7 +60,7 @@ def test_a_long_cylinder_needs_little_more_than_its_own_volume():
     assert inside(points, [found]) and found.volume < 1.15 * np.pi * 20.0
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 @given(st.integers(0, 10**6), st.integers(1, 60), st.floats(1e-4, 1e2))
 def test_no_point_is_ever_outside(seed, count, size):
     """Clouds of any number of points, flat, straight and single ones included."""

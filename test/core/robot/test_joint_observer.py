@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from conftest import make_panda, PANDA_READY
+from conftest import examples, make_panda, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def swing(i):
     return 0.5 * np.sin(0.02 * i) * np.array([1.0, -0.5, 0.2])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(lag=st.sampled_from([0.0, 0.01, 0.03]), dead_time=st.floats(0.0, 0.03),
        noise=st.sampled_from([0.0, 1e-4]), seed=st.integers(0, 10**6))
 def test_it_is_where_the_commands_lead_for_a_drive_that_is_known(lag, dead_time, noise, seed):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from closed_loop import drive, random_obstacle, smallest_level
-from conftest import PANDA_READY
+from conftest import examples, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def outside(capsules, points):
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_the_capsules_contain_what_is_held(seed):
     random = np.random.default_rng(seed)
     thing = random_obstacle(random, low=-0.2, high=0.2)

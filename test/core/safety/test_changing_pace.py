@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conftest import EXAMPLE_ROBOTS, make_panda, make_paper_arm, make_planar, PANDA_READY
+from conftest import EXAMPLE_ROBOTS, examples, make_panda, make_paper_arm, make_planar, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -70,7 +70,7 @@ def obstacles(random, count):
 
 
 @pytest.mark.parametrize('arm', ['panda', 'paper', 'planar'])
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=examples(12), deadline=None, derandomize=True)
 @given(pace=PACES, seed=st.integers(0, 10**6))
 def test_all_limits_hold_whatever_the_sequence_of_ticks(arm, pace, seed):
     robot, random = ARMS[arm], np.random.default_rng(seed)
@@ -87,7 +87,7 @@ def test_all_limits_hold_whatever_the_sequence_of_ticks(arm, pace, seed):
     assert kept > 150
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(seed=st.integers(0, 10**6), delay=st.floats(0.0, 0.1))
 def test_a_fading_mean_is_exact_at_any_sequence_of_ticks(seed, delay):
     random = np.random.default_rng(seed)
@@ -128,7 +128,7 @@ def test_a_window_takes_over_again_once_ticks_are_alike():
     assert kinds == [MeanVelocity] * 20 + [FadingMean] * 6 + [MeanVelocity] * 15
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(seed=st.integers(0, 10**6), dead_time=st.floats(0.0, 0.05))
 def test_commands_under_way_are_known_at_any_sequence_of_ticks(seed, dead_time):
     """A drive of pure dead time is where the commands of then have led."""
@@ -157,7 +157,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize('name', list(CHANGES))
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=examples(8), deadline=None, derandomize=True)
 @given(arm=st.sampled_from(['panda', 'ur5', 'paper']), seed=st.integers(0, 10**6),
        ticks=st.integers(5, 150))
 def test_all_limits_hold_when_a_bound_tightens_in_motion(name, arm, seed, ticks):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import central_difference, make_panda, PANDA_READY
+from conftest import central_difference, examples, make_panda, PANDA_READY
 from hypothesis import assume, given, settings, strategies as st
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_how_it_leans_is_what_differences_say(q, seed):
 @pytest.mark.parametrize(('robot', 'most'), [(PANDA, 1.0), (FREE_TURN, 1.3)],
                          ids=['six axes', 'three axes'])
 @pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
-@settings(max_examples=6, derandomize=True)
+@settings(max_examples=examples(6), derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_no_twist_leads_beyond_the_cone(robot, most, method, seed):
     """Whatever is commanded, among obstacles, it leans 5° at most.

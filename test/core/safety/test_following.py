@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
+from conftest import examples
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def test_a_late_noisy_or_loose_arm_follows(late):
     assert watched(Arm(**late), swing, 60.0)[0] == ''
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(lag=st.floats(0.0, 0.1), dead_time=st.floats(0.0, 0.06), late=st.floats(0.0, 0.1),
        noise=st.floats(0.0, 5e-4), speed=st.floats(0.05, 1.0), seed=st.integers(0, 1000))
 def test_any_drive_within_the_window_follows(lag, dead_time, late, noise, speed, seed):

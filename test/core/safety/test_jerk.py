@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from closed_loop import drive, DT, random_scene
-from conftest import make_panda, make_planar, PANDA_READY, random_postures
+from conftest import examples, make_panda, make_planar, PANDA_READY, random_postures
 from hypothesis import example, given, settings, strategies as st
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def differences(velocities, dt):
     return acceleration, np.diff(acceleration, axis=0, prepend=0.0) / dt
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(seed=st.integers(0, 10**6), dt=st.sampled_from([0.001, 0.004, 0.02]),
        ratio=st.floats(1.5, 3.0))
 def test_means_keep_what_the_planned_motion_keeps_and_the_jerk_besides(seed, dt, ratio):
@@ -60,7 +60,7 @@ def test_means_keep_what_the_planned_motion_keeps_and_the_jerk_besides(seed, dt,
     np.testing.assert_array_equal(rest[-1], 0.0)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @example(seed=0, dt=0.001, ratio=10.0)
 @given(seed=st.integers(0, 10**6), dt=st.sampled_from([0.001, 0.004, 0.02]),
        ratio=st.floats(10.0, 1000.0))

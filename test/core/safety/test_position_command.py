@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import planar_urdf, ROBOTS
+from conftest import examples, planar_urdf, ROBOTS
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -120,7 +120,7 @@ def test_it_goes_on_from_its_last_posture_if_the_arm_is_there(away, stays):
     assert q.tolist() == ([0.1, 0.2] if stays else [0.1 - away, 0.2])
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_steps_keep_velocity_and_acceleration_whatever_the_planned_posture_does(seed):
     """And where nothing moves any more, positions come to where they may be."""

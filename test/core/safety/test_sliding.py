@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_panda, PANDA_READY
+from conftest import examples, make_panda, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pinocchio as pin
@@ -123,7 +123,7 @@ def test_far_from_everything_it_is_as_without():
     np.testing.assert_array_equal(runs[0].positions, runs[1].positions)
 
 
-@settings(max_examples=8)
+@settings(max_examples=examples(8))
 @given(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).filter(
     lambda v: np.linalg.norm(v) > 0.1), st.integers(0, 1000))
 def test_any_command_among_obstacles_is_safe(direction, seed):
@@ -140,7 +140,8 @@ def test_any_command_among_obstacles_is_safe(direction, seed):
     assert min(r.nearest.distance for r in run.results) > begin - 1e-4
 
 
-@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
+@pytest.mark.parametrize('method', [
+    'dynamic_factor', pytest.param('variational', marks=pytest.mark.long)])
 def test_a_target_behind_a_ball_is_reached_by_sliding(method):
     ball = Obstacle('ball', BEGIN.tip_position + (0.05, 0.2, -0.02), (0.07, 0.07, 0.07))
     goal = Pose(BEGIN.tip_position + (0.0, 0.4, 0.0), BEGIN.tip_rotation)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_panda, PANDA_READY
+from conftest import examples, make_panda, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def distances(postures, ball):
     return np.array(found)
 
 
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=examples(6), deadline=None, derandomize=True)
 @given(st.floats(0.1, 0.3), st.floats(0.3, 2.0))
 def test_no_link_is_faster_than_its_distance_allows_and_the_path_is_kept(keep, time):
     scene = Scene.of([PERSON])
@@ -105,7 +105,7 @@ def test_one_that_walks_counts_as_nearer_and_targets_slow_down_too():
     assert (speeds(path) <= 1.05 * allowed + 2e-3).all()
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=examples(12), deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6), speed=st.floats(0.05, 0.2),
        priority=st.sampled_from(['yield', 'strict', 'slide']))
 def test_no_barrier_is_broken_near_a_person_that_is_kept_without(seed, speed, priority):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_paper_arm
+from conftest import examples, make_paper_arm
 from hypothesis import example, given, settings, strategies as st
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def filtered(desired, jacobian, twist, q, previous, barriers=NO_BARRIERS, may_yi
                          may_yield=may_yield, may_slide=False, dt=DT)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 6), st.floats(-3.0, 6.0), st.integers(0, 12))
 def test_bounds_hold_for_any_input(seed, m, magnitude, pairs):
     random = np.random.default_rng(seed)
@@ -48,7 +48,7 @@ def test_bounds_hold_for_any_input(seed, m, magnitude, pairs):
     assert (reached >= np.minimum(LIMITS.positions[1], q) - 1e-9).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 6))
 def test_only_speed_gives_way_while_the_arm_speeds_up(seed, m):
     random = np.random.default_rng(seed)
@@ -60,7 +60,7 @@ def test_only_speed_gives_way_while_the_arm_speeds_up(seed, m):
     assert (np.abs(result.dq) <= LIMITS.acceleration_max * DT + 1e-9).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @example(seed=685)
 @example(seed=824)
 @example(seed=1241)

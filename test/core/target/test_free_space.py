@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from itertools import pairwise
 
-from conftest import make_panda, PANDA_READY
+from conftest import examples, make_panda, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def answer(work):
             return end.value
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(SEEDS)
 def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
     random = np.random.default_rng(seed)
@@ -69,7 +69,7 @@ def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
     assert between > 0.0 if free else between < 0.01
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(SEEDS)
 def test_a_motion_is_judged_alike_in_small_pieces_and_large_ones(seed):
     random = np.random.default_rng(seed)

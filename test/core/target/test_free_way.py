@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_panda, make_paper_arm, PANDA_READY, PANDA_URDF
+from conftest import examples, make_panda, make_paper_arm, PANDA_READY, PANDA_URDF
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def states(run):
     return [r.progress.state for r in run.results]
 
 
-@settings(max_examples=8, derandomize=True)
+@settings(max_examples=examples(8), derandomize=True)
 @given(st.lists(st.floats(0.1, 0.9), min_size=7, max_size=7))
 def test_it_arrives_anywhere_within_all_limits(shares):
     goal = PANDA.position_min + np.array(shares) * (PANDA.position_max - PANDA.position_min)
@@ -45,7 +45,8 @@ def test_it_arrives_anywhere_within_all_limits(shares):
     run.assert_within_limits()
 
 
-@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
+@pytest.mark.parametrize('method', [
+    'dynamic_factor', pytest.param('variational', marks=pytest.mark.long)])
 def test_it_goes_around_a_wall(method):
     run, target = Run(start=LEFT, method=method), tip(PANDA, RIGHT)
     assert run.to(target, 15.0, Scene.of([WALL])).state is TargetState.REACHED

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_paper_arm, PANDA_READY
+from conftest import examples, make_paper_arm, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ LEFT = np.array([0.7, 0.6, 0.0, -1.9, 0.0, 2.4, 0.8])
 RIGHT = LEFT * (-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
-@settings(max_examples=8, derandomize=True)
+@settings(max_examples=examples(8), derandomize=True)
 @given(st.lists(st.floats(0.05, 0.95), min_size=7, max_size=7))
 def test_every_joint_arrives_within_all_limits(shares):
     goal = PANDA.position_min + np.array(shares) * (PANDA.position_max - PANDA.position_min)
@@ -72,6 +72,7 @@ def test_a_target_that_touches_something_is_waited_for():
     run.assert_within_limits()
 
 
+@pytest.mark.long
 def test_an_arm_that_gives_way_steps_aside_and_comes_back():
     """What is at its target has to get past it to leave."""
     ball, cap = Obstacle('ball', tip(PANDA, RIGHT).position, np.full(3, 0.1)), 'makes way'
@@ -87,6 +88,7 @@ def test_an_arm_that_gives_way_steps_aside_and_comes_back():
     kind.assert_within_limits()
 
 
+@pytest.mark.long
 def test_targets_of_both_kinds_and_a_twist_take_turns_on_the_way():
     run = Run(start=LEFT)
     run.to(lambda _: RIGHT, 0.7)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_panda, make_paper_arm, PANDA_READY
+from conftest import examples, make_panda, make_paper_arm, PANDA_READY
 from hypothesis import example, given, settings, strategies as st
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ postures = st.lists(st.floats(-0.5, 0.5), min_size=7, max_size=7).map(
     lambda offset: PANDA_READY + np.array(offset))
 
 
-@settings(max_examples=10, derandomize=True)
+@settings(max_examples=examples(10), derandomize=True)
 @given(postures)
 @example(PANDA_READY + np.array([0.255859375, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
 @example(PANDA_READY - np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
