@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from benchmark.generator import generate
+from benchmark.generator import generate, Task
 from benchmark.scenarios import make_robot
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
@@ -104,9 +104,15 @@ def ball(
     return Obstacle('ball', center, (radius,) * 3, velocity=velocity)
 
 
+@cache
+def task_of(robot: str, seed: int, moving: bool) -> Task:
+    """Return a task of the benchmarks."""
+    return generate(robot_of(robot), seed, moving=moving)
+
+
 def made(robot: str, seed: int, moving: bool = False, **parameters: Any) -> GoldenScene:
     """Return the first three seconds of a task of the benchmarks."""
-    task = generate(robot_of(robot), seed, moving=moving)
+    task = task_of(robot, seed, moving)
     return GoldenScene(robot, task.start, task.twist_at, parameters, task.obstacles, seconds=3.0)
 
 

@@ -180,6 +180,7 @@ def test_publishers_of_any_quality_of_service_are_heard(bench):
         ros.node.destroy_publisher(ros.twist)
 
 
+@pytest.mark.long
 def test_stamped_commands_in_the_tips_frame_and_the_other_outputs():
     with station() as (ros, processes):
         heard = {'position_commands': [], 'velocity_commands': [], 'joint_trajectory': []}

@@ -161,6 +161,7 @@ def test_objects_are_avoided_held_let_go_and_told_to_planners_that_start_late(br
     assert bridge.process.poll() is None
 
 
+@pytest.mark.long
 def test_move_group_is_asked_whenever_it_starts_and_counts_alone_while_it_speaks(bridge):
     ros, sender = bridge.ros, bridge.sender
     sender.offer(m.scene([box(name, (1.0, 0.0, y), 0.1, 0.1, 0.1) for y, name in enumerate('ab')],

@@ -167,7 +167,8 @@ def test_a_joint_turns_by_eight_rad_across_the_seam(ros, tmp_path):
     assert np.ptp(curve) > 8.0 and np.abs(np.diff(curve)).max() < 0.1
 
 
-@pytest.mark.parametrize('wraps', [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize('wraps', [True, False])
 def test_a_joint_target_is_reached_the_short_way_round(ros, wraps):
     """3.5 and −2.78 are the same place; from the former on, a turn further is it, too."""
     start(ros, wrap_continuous=wraps, initial_positions=[*START[:5], 3.0])

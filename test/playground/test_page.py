@@ -184,6 +184,7 @@ def hold(arm, page, key, condition, what):
         page.key(key, down=False)
 
 
+@pytest.mark.long
 @IN_BROWSER
 def test_a_key_moves_the_arm_its_release_stops_it_and_so_does_a_closed_page(tmp_path):
     with playground(tmp_path) as (arm, url), Chromium() as chromium:

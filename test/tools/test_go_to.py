@@ -131,6 +131,7 @@ def test_there_blocked_and_stopped_by_ctrl_c():
         assert np.linalg.norm(tip() - begin) > 0.01
 
 
+@pytest.mark.long
 @pytest.mark.live
 @LIVE
 def test_without_a_planner_it_says_what_is_missing():

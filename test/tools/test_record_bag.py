@@ -28,7 +28,8 @@ def listens(ros, name):
                for found in ros.node.get_subscriptions_info_by_topic('joint_command'))
 
 
-@pytest.mark.parametrize('end', [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize('end', [
+    pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGKILL])
 def test_nothing_is_lost_at_a_thousand_hertz_and_a_kill_leaves_it_readable(tmp_path, end):
     """Numbered messages: all of them are there, or after a kill the first ones."""
     folder = tmp_path / 'bag'
