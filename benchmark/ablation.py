@@ -2,7 +2,8 @@
 
 One mechanism after the other is switched off, by a parameter or by putting nothing in its place,
 and the same motions are made with and without it: past obstacles that stand and that move, through
-sweeping balls, to targets among furniture, along streams, with two arms. The table has the lines
+sweeping balls, to targets and through furniture, along streams, into the edges of what arms can
+do, with two arms. The table has the lines
 and constants that it takes, and for each figure how much it differs without. Motions come in
 blocks of seeds; a difference that has the same sign in every block is shown in bold, any other
 is noise.
@@ -28,9 +29,14 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmark import scenarios, streams, sweeps, targets, two_arms
+from benchmark import edges, scenarios, streams, sweeps, targets, two_arms
+from benchmark.example_arms import arms
 from benchmark.generator import generate
 from benchmark.judge import Judge
+from benchmark.problem_sets import generated
+from benchmark.problem_sets.families import FAMILIES
+from benchmark.problem_sets.judgement import collided, Judge as ProblemJudge
+from benchmark.problem_sets.servo import planner_step, servo
 from benchmark.scenarios import make_robot
 import redundant_planner
 from redundant_planner.core.horizon import look_ahead
@@ -40,6 +46,7 @@ from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.progress import TargetState
+from redundant_planner.io.resources import panda_urdf
 
 Array = npt.NDArray[np.float64]
 Figures = dict[str, float]
@@ -49,10 +56,13 @@ _CONSTANT = re.compile(r'^(?:[A-Z_][A-Z0-9_]*(?:, )?)+ = ', re.MULTILINE)
 # Seeds of the blocks, far from those of other benchmarks' tables.
 _SEED, _BLOCK = 700_000, 10_000
 # Motions to each block, by kind: each takes from one to ten seconds.
-_COUNTS = {'static': 12, 'moving': 12, 'sweeps': 8, 'targets': 12, 'streams': 3, 'two_arms': 6}
+_COUNTS = {'static': 12, 'moving': 12, 'sweeps': 8, 'targets': 12, 'problems': 10, 'streams': 3,
+           'edges': 30, 'two_arms': 6}
 # Inputs of streams that are looked at.
 _STREAMS = ('72 Hz', '10 Hz')
 _DT = 0.004
+# That problems are to be solved at [m].
+_PROBLEM_MARGIN = 0.005
 
 
 class Mechanism(NamedTuple):
@@ -118,6 +128,13 @@ def _judge() -> Judge:
 
 
 @cache
+def _problem_judge() -> ProblemJudge:
+    urdf = panda_urdf()
+    assert urdf is not None, 'pip install example-robot-data'
+    return ProblemJudge(_panda(), urdf)
+
+
+@cache
 def _arms() -> tuple[Robot, Robot]:
     return two_arms.arms()
 
@@ -160,6 +177,29 @@ def _target(seed: int, parameters: PlannerParameters) -> Figures:
             'violations': float(outcome.violation > 0.0)}
 
 
+def _problem(seed: int, parameters: PlannerParameters) -> Figures:
+    robot, families = _panda(), list(FAMILIES)
+    problem = generated.generate(robot, seed, families[seed % len(families)], 0)
+    parameters = replace(parameters, clearance_margin=_PROBLEM_MARGIN)
+    step = planner_step(robot, parameters, problem, to_target=True)
+    outcome = _problem_judge().judge(problem, servo(robot, problem, step, to_target=True))
+    return {'reached': float(outcome.reached), 'seconds': outcome.time,
+            'joint path': outcome.path, 'hits': float(collided(outcome)),
+            'violations': float(outcome.limit_violation > 0.0)}
+
+
+def _edge(seed: int, parameters: PlannerParameters) -> Figures:
+    random = np.random.default_rng(seed)
+    urdfs = [urdf for urdf, _ in arms()]
+    case = edges.Case(urdfs[random.integers(len(urdfs))], seed, 0, int(random.integers(6)),
+                      int(random.choice([1, -1])), '')
+    arm = edges.arm_of(case.urdf)
+    motion = edges.driven(arm.robot, parameters, edges.start_of(arm, seed, 0), case.twist, _DT)
+    rest = edges.rest_of(arm, motion, _DT)
+    return {'reversals': float(rest.reversals), 'restless': float(rest.restless),
+            'violations': float(rest.violation > 0.0)}
+
+
 def _stream(seed: int, parameters: PlannerParameters) -> Figures:
     robot = _panda()
     start, signal, own = streams.start_of(robot, parameters, seed, joints=False)
@@ -184,7 +224,7 @@ def _both(seed: int, parameters: PlannerParameters) -> Figures:
 
 KINDS: Mapping[str, Callable[[int, PlannerParameters], Figures]] = {
     'static': _static, 'moving': _moving, 'sweeps': _swept, 'targets': _target,
-    'streams': _stream, 'two_arms': _both}
+    'problems': _problem, 'streams': _stream, 'edges': _edge, 'two_arms': _both}
 
 
 class Job(NamedTuple):

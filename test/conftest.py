@@ -108,10 +108,17 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         if item.get_closest_marker('flaky') or 'paper_runs' in item.fixturenames:
             item.add_marker(pytest.mark.live)
-    if not config.getoption('--long'):
-        long = [item for item in items if item.get_closest_marker('long')]
-        items[:] = [item for item in items if item not in long]
-        config.hook.pytest_deselected(items=long)
+    if config.getoption('--long'):
+        return
+    short, long, begun = [], [], set()
+    for item in items:
+        test = item.nodeid.partition('[')[0]
+        is_long = item.get_closest_marker('long') or (
+            test in begun and item.get_closest_marker('first_alone'))
+        begun.add(test)
+        (long if is_long else short).append(item)
+    items[:] = short
+    config.hook.pytest_deselected(items=long)
 
 
 @pytest.hookimpl(tryfirst=True)

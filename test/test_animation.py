@@ -27,6 +27,7 @@ def test_plain_inverse_kinematics_runs_into_an_obstacle_and_the_planner_does_not
     assert deepest[0] < -0.1 and deepest[1] > 0.0
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('suffix', ['.gif', '.webp'])
 def test_the_command_writes_a_moving_picture(tmp_path, monkeypatch, suffix):
     path = tmp_path / f'small{suffix}'

@@ -45,6 +45,7 @@ def test_a_seed_gives_the_same_task_and_its_start_is_clear(panda, moving):
         assert distance == 0.0 if moving and not task.twist.any() else 0.1 <= distance <= 0.3
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('axes', [3, 6])
 def test_a_task_has_a_way_that_the_judge_lets_pass(axes):
     robot = make_robot('panda', axes)
@@ -117,6 +118,7 @@ def test_the_filter_hits_nothing_where_the_least_norm_hits():
             'tick_us_p99'} <= set(result)
 
 
+@pytest.mark.long
 def test_what_sweeps_over_the_shoulder_is_unavoidable_and_what_passes_by_is_not():
     robot = make_panda()
     shoulder = Obstacle('o', np.array([-0.6, 0.0, 0.33]), np.full(3, 0.08),
@@ -128,6 +130,7 @@ def test_what_sweeps_over_the_shoulder_is_unavoidable_and_what_passes_by_is_not(
         assert unavoidable(robot, task) == expected
 
 
+@pytest.mark.long
 def test_what_takes_too_long_to_evade_is_unavoidable():
     across = Obstacle('o', np.array([-0.05, -0.6, 0.48]), np.full(3, 0.08),
                       velocity=np.array([0.0, 0.3, 0.0]))

@@ -41,6 +41,7 @@ def test_a_free_trajectory_is_followed_and_one_that_hits_is_held_up():
     assert free['violation'] == hits['violation'] == 0.0
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('tip', [False, True])
 def test_chunks_of_a_policy_disagree_and_the_arm_does_not_shake(tip):
     policy = chunks_of(ROBOT, np.random.default_rng(1), tip)

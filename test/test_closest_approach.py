@@ -71,6 +71,7 @@ def test_distances_to_every_shape_are_exact(name):
     assert 5 < free < 40
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('moves', [False, True])
 def test_no_posture_of_a_motion_is_nearer_than_the_nearest(moves):
     robot, random = make_panda(), np.random.default_rng(1)

@@ -91,6 +91,7 @@ def test_the_tool_goes_to_a_pose(tmp_path):
     assert seconds < 2.0 and numbers(r'off by ([\d.]+) mm', text)[0] < 0.3
 
 
+@pytest.mark.long
 def test_the_chunks_of_a_policy_are_followed_without_a_jump(tmp_path):
     text = run('08_policy_chunks.py', tmp_path)
     assert max(numbers(r'moving, +([\d.]+) mrad', text)) < 30.0
@@ -98,7 +99,7 @@ def test_the_chunks_of_a_policy_are_followed_without_a_jump(tmp_path):
     assert numbers(r'largest acceleration: ([\d.]+)', text)[0] < 0.8
 
 
-@pytest.mark.parametrize('given', [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.parametrize('given', [False, True])
 def test_an_arm_of_your_own_plans_from_its_urdf(given, tmp_path):
     before = repository()
     text = run('05_your_own_arm.py', tmp_path,

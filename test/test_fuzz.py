@@ -59,6 +59,7 @@ DEATHS = pytest.mark.parametrize(('deed', 'how'), [
     ('raise SystemExit(5)', 'exit status 5'), ('os.kill(os.getpid(), 9)', 'SIGKILL')])
 
 
+@pytest.mark.first_alone
 @DEATHS
 def test_a_death_is_a_finding_and_the_run_goes_on(deed, how, tmp_path):
     status, said, counts = _fuzz(deed, tmp_path / 'f.json', '--what', 'files', '--minutes', '1')
@@ -74,6 +75,7 @@ def test_a_death_is_a_finding_and_the_run_goes_on(deed, how, tmp_path):
         n + 1 if n < 3 else n - 3 for n in numbers]
 
 
+@pytest.mark.long
 def test_an_attack_depends_on_its_number_alone(tmp_path):
     several = _fuzz('os.abort()', tmp_path / 'f.json', '--what', 'bags', '--minutes', '1')[2]
     drawn = dict(entry.split()[:2] for entry in several['kinds']['bags']['exceptions'])
@@ -133,6 +135,7 @@ def test_the_judge_tells_which_limit_is_exceeded():
     assert first(0.0, -0.02, -0.04, q=beyond) == (3, '')
 
 
+@pytest.mark.long
 def test_random_arms_are_of_all_kinds_and_depend_on_their_seed():
     arms = [random_arm(np.random.default_rng(seed)) for seed in range(30)]
     assert {arm.n for arm in arms} >= {3, 14} and {arm.m for arm in arms} == {1, 2, 3, 4, 5, 6}
@@ -144,6 +147,7 @@ def test_random_arms_are_of_all_kinds_and_depend_on_their_seed():
         np.testing.assert_array_equal(arm.self_pairs, again.self_pairs)
 
 
+@pytest.mark.long
 def test_an_attack_on_the_mathematics_does_not_depend_on_those_before(tmp_path):
     def run(number):
         random, tally = np.random.default_rng((4, number)), Tally(number)

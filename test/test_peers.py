@@ -43,6 +43,7 @@ def test_tip_and_capsules_are_where_ours_are(name):
                 atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name', METHODS)
 def test_they_follow_the_path_and_stop_at_the_obstacle(name):
     robot = MAKERS['panda_position']()
@@ -123,6 +124,7 @@ def test_no_joint_is_faster_than_it_can_be(name):
     assert 0.3 < fastest < 1.001
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name', METHODS)
 def test_they_know_where_obstacles_have_moved_to(name):
     robot = MAKERS['panda_position']()

@@ -175,6 +175,7 @@ def test_what_the_fingers_hold_at_the_goal_is_no_obstacle():
         assert np.abs(found.goal - goal).max() <= 0.01 + 1e-9
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('family', FAMILIES)
 def test_made_problems_are_free_at_both_ends_and_the_same_every_time(family):
     robot = make_panda()

@@ -144,6 +144,7 @@ def test_broken_files_are_refused(folders, name, file, text):
         SETS[name].read(folders[name], 1)
 
 
+@pytest.mark.long
 @needs_panda
 def test_a_run_says_what_it_came_to(folders, tmp_path):
     file = tmp_path / 'out.json'

@@ -26,6 +26,7 @@ FAR = Obstacle('far', np.array([-0.6, 0.0, 0.2]), np.full(3, 0.05))
 MINK = pytest.mark.skipif(bool(missing('mink')), reason=missing('mink'))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('method', ['planner', pytest.param('mink', marks=MINK)])
 def test_a_goal_in_the_open_is_reached_and_one_inside_something_is_not(method):
     at_it = Obstacle('at it', TIP, np.full(3, 0.05))

@@ -50,7 +50,7 @@ from redundant_planner.core.target.free_way import JointMotion
 from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.moving_target import checked_news, Sighting
 from redundant_planner.core.target.way import Way
-from redundant_planner.core.tick import Memory, Setup, Wish, wish, World
+from redundant_planner.core.tick import Setup, Wish, wish, World
 
 Array = npt.NDArray[np.float64]
 
@@ -187,9 +187,7 @@ class Planner:
             parameters.clearance_margin > self._parameters.clearance_margin)
         self._parameters, self._weights, self._limits = parameters, weights, limits
         self._constants, self._gains = constants, gains
-        self._setup = Packed.of(Setup(constants, limits, gains, Memory(
-            np.full(robot.n, np.nan), np.empty(len(constants.self_pairs)),
-            room_for_rows(constants))))
+        self._setup = Packed.of(Setup(constants, limits, gains, room_for_rows(constants)))
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
         self._way = Way(robot, parameters, limits, constants, gains, getattr(self, '_way', None))
@@ -234,7 +232,6 @@ class Planner:
         self._last = self._at_rest()
         self._smoothing.reset()
         self._observer.reset()
-        self._setup.value.memory.known_at[:] = np.nan
         self._look_ahead.reset()
         self._way.reset()
         self._back.reset()
@@ -344,7 +341,7 @@ class Planner:
                 share = min(share, _GENTLE / max(float(np.abs(wanted).max()), _GENTLE))
         if self._filtered and (
                 joints is not None or leaves or share < 1.0 or not desired.admissible):
-            barriers = barriers_in(self._setup.value.memory.rows, desired.rows_used)
+            barriers = barriers_in(self._setup.value.rows, desired.rows_used)
             result = self._filter(desired, wanted, barriers, start, joints, share, leaves=leaves)
             if share < 1.0 and result.stage not in _SLOWER_STAGES:
                 # A clearance that asks for a faster arm goes first.

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.kernels import entry, kernel, Matrix, OutMatrix, OutVector, Vector
+from redundant_planner.core.kernels import entry, kernel, Matrix, OutMatrix, Vector
 from redundant_planner.core.machine_code.packed import Packed
 from redundant_planner.core.obstacles.clearance import is_contact, link_pair
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -36,32 +36,18 @@ Array = npt.NDArray[np.float64]
 _LOOKS = 12
 
 
-class Memory(NamedTuple):
-    """What each tick writes for the next, and for the rest of its own.
-
-    Attributes:
-        known_at: (n,) where the links were last measured against each other; NaN if never.
-        known: (p,) what was found there [m].
-        rows: the tick's barriers, in the first of these rows.
-    """
-
-    known_at: OutVector
-    known: OutVector
-    rows: Rows
-
-
 class Setup(NamedTuple):
     """What a planner has in place from tick to tick.
 
     Attributes:
         constants, limits, gains: see there.
-        memory: written in each tick.
+        rows: each tick writes its barriers into the first of these.
     """
 
     constants: RobotConstants
     limits: Limits
     gains: Gains
-    memory: Memory
+    rows: Rows
 
 
 class World(NamedTuple):
@@ -94,7 +80,7 @@ class Wish(NamedTuple):
         task: what the tip shall do.
         reached: the reference pose after the tick if the whole command is followed.
         factor, clearance_index, manipulability: see `StepResult`.
-        rows_used: how many of the memory's rows are barriers.
+        rows_used: how many of the setup's rows are barriers.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
         nearest_link, nearest_obstacle, nearest_normalized_distance, nearest_distance: see
             `NearPairs`.
@@ -248,7 +234,7 @@ def _wish(
     reached: Pose,
 ) -> tuple[float, float, float, int, bool, int, int, float, float, bool, bool, float]:
     """Fill the arrays of a `Wish`, `asked` being its task; return the rest of it."""
-    constants, limits, gains, memory = setup.value
+    constants, limits, gains, room = setup.value
     arm, obstacles, scaling, dt = start.arm, world.obstacles, constants.scaling, start.dt
 
     # ẋ: the command plus the feedback to the reference pose.
@@ -273,9 +259,7 @@ def _wish(
     self_pairs = SelfPairs(constants.radii, constants.self_pairs, constants.self_supports,
                            constants.self_lever_arm_bounds)
     stopping = 0.5 * stopping_time(start.previous, limits.acceleration_max) * start.previous
-    own = near_links(
-        arm.q, links, self_pairs, can.fastest / can.rate, stopping, memory.known_at,
-        memory.known)
+    own = near_links(links, self_pairs, can.fastest / can.rate, stopping)
 
     # k P∇H, Eqs. 2 and 18.
     level, clearance = criteria.clearance_index(
@@ -296,8 +280,7 @@ def _wish(
 
     # The barriers. To evade, any null-space speed is better than leaving the path.
     intruded = rows.is_intruded(near, obstacles)
-    found = rows.cleared(
-        memory.rows, rows.most_rows(len(near.acting), len(own.pairs)))
+    found = rows.cleared(room, rows.most_rows(len(near.acting), len(own.pairs)))
     at = rows.obstacle_rows(
         found, 0, near, obstacles, gains.clearance_lead,
         rows.strayed_distances(world.strayed, constants))
@@ -308,7 +291,7 @@ def _wish(
     at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
     if not intruded:
         at = rows.self_motion_row(found, at, start, parts, limits, constants)
-    barriers = barriers_in_compiled(memory.rows, at)
+    barriers = barriers_in_compiled(room, at)
 
     share = unseen_share(near.unseen, can)
     admissible = (

@@ -368,6 +368,7 @@ def test_joint_states_that_name_no_joints_are_left_out(tmp_path, names, reason):
         analyse(write_states(tmp_path / 'bag', [0.0], [0.0], names))
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('name', ['[/]', '[red]x', '$x^{$', ':smile:', '_hidden', '<b>'])
 def test_a_name_is_no_markup(tmp_path, name, capsys):
     folder = name.replace('/', '|')

@@ -71,6 +71,7 @@ def test_pauses_backward_stamps_and_missing_velocities_count_for_nothing():
     assert np.isnan(Commands(1, DT).at(np.array([0.0]))[0]).all()
 
 
+@pytest.mark.long
 def test_a_bag_of_jittering_messages_shows_what_was_commanded(tmp_path, capsys):
     robot, _, motion = paper_motion(0.1)
     random = np.random.default_rng(3)

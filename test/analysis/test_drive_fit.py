@@ -53,6 +53,7 @@ def test_lag_and_dead_time_are_found_through_noise(lag, dead_time, jitter, seed)
         assert time == 0.0 if error is None else time > 2.0 * error and error < 5e-3
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('noise', [0.0, 1e-4, 1e-3])
 def test_a_time_that_cannot_be_told_from_none_is_none(noise):
     """The other one alone is known well then."""

@@ -77,9 +77,8 @@ def analyses(tmp_path_factory):
     return found
 
 
-@pytest.mark.parametrize('width, bags', [
-    (1280, 1), *(pytest.param(*other, marks=pytest.mark.long)
-                 for other in ((1280, 2), (400, 1), (400, 2)))])
+@pytest.mark.parametrize('bags', [1, 2])
+@pytest.mark.parametrize('width', [400, 1280])
 def test_it_fits_is_drawn_at_once_and_plays(analyses, tmp_path, bags, width):
     result = seen(tmp_path, page_of(analyses[:bags]), width)
     assert result['troubles'] == []

@@ -44,6 +44,7 @@ def crowd(q, count, seed, gap, size=0.03):
     return Scene.of(found)
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('method', METHODS)
 @pytest.mark.parametrize('seed', [0, 1])
 def test_an_arm_hits_none_of_more_obstacles_than_a_tick_takes_in(method, seed):

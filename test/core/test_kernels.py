@@ -52,8 +52,7 @@ def motion(method: str) -> list[list[float]]:
     return rows
 
 
-@pytest.mark.parametrize('method', [
-    'dynamic_factor', pytest.param('variational', marks=pytest.mark.long)])
+@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
 def test_machine_code_does_what_the_python_does(method):
     code = f'import json, test_kernels; print(json.dumps(test_kernels.motion({method!r})))'
     here = Path(__file__).parent
@@ -328,6 +327,7 @@ def test_machine_code_that_others_can_write_is_not_loaded(tmp_path, mode):
     assert not is_private(tmp_path / 'file' / 'below')
 
 
+@pytest.mark.long
 def test_compile_knows_every_module_with_compiled_functions():
     """What it leaves out would be compiled at the first start of a node."""
     package = Path(redundant_planner.__file__).parent

@@ -175,6 +175,7 @@ def test_every_parameter_has_a_case():
     assert {case.name for case in CASES} == {entry.name for entry in fields(PlannerParameters)}
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('case', CASES, ids=lambda case: f'{case.name}-{case.quantity.__name__}')
 def test_a_parameter_acts_in_the_direction_that_it_says(case):
     low, high = (

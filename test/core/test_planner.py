@@ -375,6 +375,7 @@ def test_parameters_that_do_not_fit_the_robot_are_refused(panda):
         Planner(make_paper_arm(), PlannerParameters(limits_position_margin=0.5))
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize(('make', 'start', 'direction'), [
     (make_panda, PANDA_READY, [0.3, 0.0, 0.1]),
     (lambda: make_panda(axes=AXES[:3]), PANDA_READY, [0.0, 0.0, 0.3]),
@@ -420,6 +421,7 @@ def sweep(robot, path_priority, axis, lead=0.1, speed=0.2):
     return np.array(distances), np.array(errors), results
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize(('axis', 'leaves'), [
     ([1.0, 0.0, 0.0], True), ([0.0, 1.0, 0.0], None), ([-0.6, 0.0, 0.8], True)])
 @pytest.mark.parametrize('lead', [0.0, 0.1])

@@ -38,6 +38,7 @@ def end_of(name, number, way, variant):
 
 # Each shook or crept on before: the null space swung about the posture of the largest singular
 # value, followed paths that led nowhere, or the tip swung about the place where its slide ends.
+@pytest.mark.first_alone
 @pytest.mark.parametrize('name, number, way, variant', [
     ('xarm7', 0, '-wx', 'dynamic_factor'), ('xarm7', 0, '-wx', 'variational'),
     ('panda', 0, '-vz', 'variational'), ('panda', 0, '+wz', 'variational'),

@@ -170,6 +170,7 @@ def packed_chunk(compression, packed, unpacked):
             + record(0x0F, bytes(4)) + record(2, bytes(20)) + b'\x89MCAP0\r\n')
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('claimed', [1000, 600_000_000])
 @pytest.mark.parametrize('kind', ['zstd', 'lz4', 'file'])
 def test_nothing_unpacks_into_the_whole_memory(tmp_path, kind, claimed):
@@ -197,6 +198,7 @@ def test_nothing_unpacks_into_the_whole_memory(tmp_path, kind, claimed):
         assert 'a chunk' in done.stdout, done.stderr
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('mode', ['message', 'file'])
 def test_packed_bags_that_are_damaged_are_read_as_far_as_they_go(tmp_path, mode):
     bag = write_bag(tmp_path / 'bag', range(30_000), mode=mode)

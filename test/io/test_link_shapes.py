@@ -47,6 +47,7 @@ ARMS = {
 }
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize(('file', 'tip'), ARMS.items(), ids=[f.split('_')[0] for f in ARMS])
 def test_every_corner_of_an_arms_geometry_is_inside(file, tip):
     path = EXAMPLE_ROBOTS / file
@@ -425,6 +426,7 @@ def arm_beside_its_meshes(tmp_path, monkeypatch):
     return robots
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize(('urdf', 'mesh'), [
     ('arm.urdf', 'my_arm/meshes/link.stl'),
     ('../robots/arm.urdf', 'package://my_arm/meshes/link.stl'),
@@ -473,6 +475,7 @@ def test_an_installed_package_counts_before_a_folder_of_its_name(tmp_path, monke
         resolve('package://my_arm/no.stl', folder)
 
 
+@pytest.mark.long
 def test_show_robot_writes_a_start_that_both_simulated_arms_take(tmp_path, capsys):
     arguments = ['--urdf', str(PANDA_URDF), '--out', str(tmp_path / 'p.png')]
     assert show_robot(arguments) == 0

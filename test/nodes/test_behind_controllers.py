@@ -19,9 +19,6 @@ from redundant_planner.core.parameters import PlannerParameters
 PANDA = make_robot('panda', 6)
 READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 FORWARD = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
-# Those that contain the others.
-OF_SEVERAL_KINDS = ('both', '20 Hz and 100 ms late', 'play of 10 mrad', 'pushes of 50 mm',
-                    'stops of 20 to 300 ms')
 STARTS = 1.5  # the planner listens before it moves the arm [s]
 
 
@@ -32,6 +29,7 @@ def behind(controller, **options):
     return run
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('command, output', [
     *(('cmd_vel', output) for output in OUTPUTS),
     *((command, POSITION) for command in COMMANDS if command != 'cmd_vel')])
@@ -45,6 +43,7 @@ def test_nothing_waits_for_a_controller_that_wakes_up(case, command, output):
     assert outcome.step <= 1.05 and outcome.acceleration <= 1.0 + 1e-6
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('output', [POSITION, TRAJECTORY])
 @pytest.mark.parametrize('case', [case for case in GUILTY if case not in ('inactive', 'frozen')])
 def test_positions_keep_velocity_and_acceleration_whatever_the_arm_does(case, output):
@@ -89,6 +88,7 @@ def test_names_in_trajectories_swap_nothing():
     assert not run.error and np.abs(run.manager.q - READY).max() > 0.05
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('output', OUTPUTS)
 def test_where_others_have_moved_the_arm_it_stays(output):
     """MoveIt's usual switch of controllers, without a pause."""
@@ -111,6 +111,7 @@ def test_where_others_have_moved_the_arm_it_stays(output):
     assert not run.error and np.abs(run.manager.q - at).max() > 0.05
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('output', OUTPUTS)
 def test_at_equal_rates_the_arm_moves_as_smoothly_as_its_commands(output):
     run = behind(output)
@@ -125,14 +126,14 @@ def test_at_equal_rates_the_arm_moves_as_smoothly_as_its_commands(output):
     assert (np.abs(moved[50:]).max(axis=1) > 0.0).all()
 
 
-@pytest.mark.parametrize('case, output', [
-    pytest.param(case, output, marks=[] if case in OF_SEVERAL_KINDS else pytest.mark.long)
-    for case, output in zip(INNOCENT, cycle(OUTPUTS))])
+@pytest.mark.first_alone
+@pytest.mark.parametrize('case, output', list(zip(reversed(INNOCENT), cycle(OUTPUTS))))
 def test_an_arm_that_is_late_or_loose_or_pushed_follows(case, output):
     outcome = innocent(case, output, 10.0, 3)
     assert outcome.alarms == 0 and outcome.restarts == 0
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('output, lag', [(VELOCITY, 0.2), (POSITION, 0.2), (TRAJECTORY, 0.1)])
 def test_a_slow_drive_that_coasts_to_rest_is_moved_by_nobody(output, lag):
     """Behind a trajectory from where the arm is, the drive lags twice."""
@@ -154,6 +155,7 @@ def test_without_a_tolerance_nobody_says_anything():
     assert not run.error
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('seed', [1, 6, 8, 9])
 def test_positions_are_clear_where_the_plan_is(seed):
     outcome = clear(seed)

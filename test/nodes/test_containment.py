@@ -134,9 +134,10 @@ def test_a_crowd_of_requests_does_not_come_between_two_commands(bench):
     ros.node.destroy_subscription(subscription)
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('end, status', [
-    ('kill', -signal.SIGKILL), *(pytest.param(*end, marks=pytest.mark.long) for end in (
-        ('segfault', -signal.SIGSEGV), ('system_exit', 3), ('bad_finish', 4)))])
+    ('kill', -signal.SIGKILL), ('segfault', -signal.SIGSEGV), ('system_exit', 3),
+    ('bad_finish', 4)])
 def test_whatever_ends_the_process_its_last_command_is_a_smooth_stop(own_bench, end, status):
     ros, planner = own_bench.ros, own_bench.planner
     second = second_process(planner)

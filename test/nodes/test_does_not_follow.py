@@ -51,9 +51,8 @@ def silent(ros, drive):
     ros.wait_for(quiet, 'silence', meanwhile=drive)
 
 
-@pytest.mark.parametrize('controller', [
-    output if output == TRAJECTORY else pytest.param(output, marks=pytest.mark.long)
-    for output in OUTPUTS])
+@pytest.mark.first_alone
+@pytest.mark.parametrize('controller', OUTPUTS)
 def test_a_controller_that_wakes_up_finds_no_command_waiting(controller, tmp_path):
     with station() as (ros, processes):
         arm = started(ros, processes, tmp_path, controller, active=False)

@@ -71,6 +71,7 @@ def heard(queue, raw, now, topic=1):
     assert queue.read(now)
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('kind', [Marker.LINE_LIST, Marker.CUBE])
 def test_a_topic_of_which_nothing_can_be_used_is_named_until_something_can(two_topics, kind):
     queue, said = two_topics

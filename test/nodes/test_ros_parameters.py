@@ -78,6 +78,7 @@ def test_namespaces_of_files_may_be_nested(file, tmp_path):
     assert disputed(line, '/arm/planner_node') == {'criteria.k_w': 7.5}
 
 
+@pytest.mark.long
 def test_files_may_have_tags_as_those_of_launch_ros(tmp_path):
     """It writes lists as Python tuples, and rcl looks at no tags."""
     path = tmp_path / 'launch.yaml'

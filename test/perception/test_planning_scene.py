@@ -187,6 +187,7 @@ def step(rng, twin):
     return m.scene([made]) if diff else made
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('seed', range(5))
 def test_200_random_messages_leave_every_shape_where_it_belongs(seed):
     """Distances of 100 points to the markers' shapes and to the scene's agree within 1e-9 m."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 import sys
 
+import pytest
+
 from redundant_planner.tools import draw_architecture
 
 DOCS = Path(__file__).resolve().parent.parent.parent / 'docs'
@@ -38,6 +40,7 @@ def test_an_import_that_follows_from_others_is_not_drawn():
         ('io', 'core'), ('io', 'tools'), ('tools', 'analysis')]
 
 
+@pytest.mark.long
 def test_the_command_writes_the_same_picture_every_time(tmp_path, monkeypatch):
     (tmp_path / 'architecture.md').write_text((DOCS / 'architecture.md').read_text())
     monkeypatch.setattr(sys, 'argv', ['draw_architecture', '--docs', str(tmp_path)])

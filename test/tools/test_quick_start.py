@@ -117,6 +117,7 @@ def options_for(folder, *, tip='', base='', urdf=PANDA_URDF, overwrite=False):
         urdf=str(urdf), out=folder, tip=tip, base=base, overwrite=overwrite)
 
 
+@pytest.mark.long
 def test_files_that_are_there_are_used_and_not_overwritten(tmp_path):
     said, careful = [], []
 

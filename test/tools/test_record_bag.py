@@ -28,8 +28,8 @@ def listens(ros, name):
                for found in ros.node.get_subscriptions_info_by_topic('joint_command'))
 
 
-@pytest.mark.parametrize('end', [
-    pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGKILL])
+@pytest.mark.first_alone
+@pytest.mark.parametrize('end', [signal.SIGKILL, signal.SIGINT])
 def test_nothing_is_lost_at_a_thousand_hertz_and_a_kill_leaves_it_readable(tmp_path, end):
     """Numbered messages: all of them are there, or after a kill the first ones."""
     folder = tmp_path / 'bag'

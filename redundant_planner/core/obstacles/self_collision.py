@@ -173,7 +173,8 @@ class NearLinks(NamedTuple):
 
 @kernel
 def _with_rest(
-    here: NearLinks, arm: Links, pairs: SelfPairs, known: Vector, reach: Vector, stopping: Vector,
+    here: NearLinks, all_here: Vector, arm: Links, pairs: SelfPairs, reach: Vector,
+    stopping: Vector,
 ) -> NearLinks:
     """Return pairs of links, and those again that come nearer while the arm brakes than it seems.
 
@@ -183,8 +184,8 @@ def _with_rest(
 
     Args:
         here: the pairs, as seen from here.
+        all_here: (p,) distances of all pairs [m].
         arm, pairs, stopping: as for `near_links`.
-        known: (p,) distances of all pairs here [m].
         reach: (n,) how far the joints may move before a barrier has its way [rad, m].
     """
     if len(here.pairs) == 0:
@@ -197,7 +198,7 @@ def _with_rest(
     count = 0
     for i in range(len(here.pairs)):
         pair = here.pairs[i]
-        left = at_rest[pair] - min(known[pair], 0.0)
+        left = at_rest[pair] - min(all_here[pair], 0.0)
         expected, value, way = here.distance[i], left, 0.0
         for j in range(len(stopping)):
             expected += here.gradient[i, j] * stopping[j]
@@ -214,45 +215,29 @@ def _with_rest(
 
 
 @kernel
-def near_links(
-    q: Vector, arm: Links, pairs: SelfPairs, reach: Vector, stopping: Vector, known_at: OutVector,
-    known: OutVector,
-) -> NearLinks:
+def near_links(arm: Links, pairs: SelfPairs, reach: Vector, stopping: Vector) -> NearLinks:
     """Return the pairs whose barrier could act in this tick.
 
-    A pair's distance falls by no more than the joints between its links have moved: as long as
-    that settles it, nothing is measured. Links found closer than the margin may stay so; they
-    only may not get closer. Capsules are fatter than links, and an arm must not start to move
-    by itself because of it.
+    Links found closer than the margin may stay so; they only may not get closer. Capsules are
+    fatter than links, and an arm must not start to move by itself because of it.
 
     Args:
-        q: (n,) the posture.
         arm: its links.
         pairs: which of them can collide.
         reach: (n,) how far the joints may move before a barrier has its way [rad, m].
         stopping: (n,) how far the arm still goes if it brakes in proportion from now on [rad, m].
-        known_at: (n,) where the links were last measured against each other; NaN if never.
-        known: (p,) what was found there [m]; both are brought up to date.
     """
-    count, bounds = len(pairs.links), pairs.lever_arm_bounds
-    settled, moved = True, reach.copy()
-    for j in range(len(q)):
-        moved[j] += abs(q[j] - known_at[j])
-    for pair in range(count):
-        # Not so where nothing is known yet: no comparison with NaN holds.
-        settled = settled and known[pair] > _way(bounds[pair], moved)
+    count = len(pairs.links)
+    here, points = np.empty(count), np.empty((count, 2, 3))
+    write_link_distances(arm.start, arm.end, pairs.radii, pairs.links, here, points)
     near, found = np.empty(count, np.intp), 0
-    points = np.empty((count, 2, 3))
-    if not settled:
-        write_link_distances(arm.start, arm.end, pairs.radii, pairs.links, known, points)
-        known_at[:] = q
-        for pair in range(count):
-            if known[pair] <= _way(bounds[pair], reach):
-                near[found] = pair
-                found += 1
+    for pair in range(count):
+        if here[pair] <= _way(pairs.lever_arm_bounds[pair], reach):
+            near[found] = pair
+            found += 1
     near = near[:found]
     distance = np.empty(found)
     for i in range(found):
-        distance[i] = max(known[near[i]], 0.0)
+        distance[i] = max(here[near[i]], 0.0)
     gradient = distance_gradients(points, near, arm.joint_screws, pairs.supports)
-    return _with_rest(NearLinks(near, distance, gradient), arm, pairs, known, reach, stopping)
+    return _with_rest(NearLinks(near, distance, gradient), here, arm, pairs, reach, stopping)

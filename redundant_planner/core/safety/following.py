@@ -166,7 +166,8 @@ class Following:
         if self._movers:
             return (f'the arm does not follow: {", ".join(stand)} rad or m, while joint '
                     f'{self._movers} moves without a command; does the controller have the '
-                    "joints in another order than this planner's?")
+                    "joints in another order than this planner's, or does something else move "
+                    'the arm?')
         return (f'the arm does not follow: {", ".join(stand)} rad or m; is its controller active, '
                 'does it listen to this output, and does the hardware move?')
 

@@ -75,6 +75,7 @@ def test_it_leaves_its_path_less_far_than_one_that_only_keeps_away(through_the_h
     assert driven.off.max() > 1.1 * through_the_hand.off.max()
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('link, velocity', [
     ('hand', [0.0, -0.25, 0.0]), ('link4', [0.2, 0.1, 0.0]), ('link6', [0.1, 0.2, 0.1])])
 def test_it_goes_out_and_back_without_shaking(link, velocity):

@@ -59,6 +59,7 @@ def run(planner, q, twist_at, scene, seconds, known):
     return np.array(postures), results
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('make', [make_panda, lambda: make_panda(axes=AXES[:3]),
                                   make_paper_arm])
 def test_the_joint_path_is_shorter_and_the_tip_on_its_line(make):

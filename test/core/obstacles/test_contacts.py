@@ -61,6 +61,7 @@ def test_a_contact_that_is_allowed_may_last_but_not_get_deeper(panda, depth):
     np.testing.assert_allclose(moved, 0.0, atol=1e-6)
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('depth', [0.0, 0.01, 0.03])
 @pytest.mark.parametrize('twist', [np.zeros(6), DOWN])
 def test_a_contact_that_is_not_allowed_ends(panda, depth, twist):
@@ -128,6 +129,7 @@ def test_a_link_that_the_arm_does_not_have_is_refused_and_changes_nothing(panda)
     assert drive(planner, PANDA_READY, DOWN, table_at(panda, -0.05))[1][0].nearest.distance > 0.03
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('make', [
     lambda c, h: Obstacle('o', c, h), lambda c, h: Obstacle.box('o', c, 2.0 * h),
     lambda c, h: Obstacle.cylinder('o', c, h[0], 2.0 * h[2]),

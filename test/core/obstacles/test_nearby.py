@@ -131,6 +131,7 @@ def test_long_ones_are_chosen_as_if_each_were_alone(seed, most, most_ahead):
         scene, arm, reach, count, most_ahead).nearest.tolist()
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('speed', [0.0, 0.2])
 @pytest.mark.parametrize('make', [make_panda, make_paper_arm])
 def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch):
@@ -171,6 +172,7 @@ def test_the_planner_decides_the_same_with_all_of_them(make, speed, monkeypatch)
     assert len(scene.names) > nearby.FEW
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
 @pytest.mark.parametrize('count', [60, 600])
 def test_to_prepare_changes_nothing_but_when_it_chooses(count, method, monkeypatch):

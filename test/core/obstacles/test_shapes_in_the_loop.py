@@ -42,6 +42,7 @@ def assert_within_limits(robot, postures, results):
     assert (postures >= robot.position_min).all() and (postures <= robot.position_max).all()
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('method', METHODS)
 @pytest.mark.parametrize('seed', range(4))
 def test_an_arm_that_is_sent_anywhere_touches_nothing(panda, method, seed):
@@ -62,6 +63,7 @@ def reversals(robot, results):
     return sum(int((np.diff(column[column != 0.0]) != 0.0).sum()) for column in signs.T)
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('method', METHODS)
 @pytest.mark.parametrize('gap', [0.012, 0.03])
 @pytest.mark.parametrize('sinking', [-0.05, -0.01, 0.0])
@@ -88,6 +90,7 @@ def lowest(robot, postures, axis):
     return (ends - radii).min(axis=(0, 2)), (ends + radii).max(axis=(0, 2))
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize(('axis', 'twist', 'box'), [
     (1, (0.0, 0.2, 0.0), (-2.0, -2.0, -2.0, 2.0, 0.25, 2.0)),
     (1, (0.0, -0.2, 0.0), (-2.0, -0.25, -2.0, 2.0, 2.0, 2.0)),

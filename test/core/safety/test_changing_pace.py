@@ -156,6 +156,7 @@ CHANGES = {
     'slow_down': (('o=0.3:1.0',),)}
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('name', list(CHANGES))
 @settings(max_examples=examples(8), deadline=None, derandomize=True)
 @given(arm=st.sampled_from(['panda', 'ur5', 'paper']), seed=st.integers(0, 10**6),

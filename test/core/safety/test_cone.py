@@ -72,6 +72,7 @@ def test_how_it_leans_is_what_differences_say(q, seed):
             q - step * dq).tip_rotation) @ cone.axis) / (2.0 * step), rel=1e-4, abs=1e-6)
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize(('robot', 'most'), [(PANDA, 1.0), (FREE_TURN, 1.3)],
                          ids=['six axes', 'three axes'])
 @pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])

@@ -72,6 +72,7 @@ def patience(speed, since=0.0):
     return float(t[np.argmax(t > travel + 0.03 / speed)]) + 0.03
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('late', [
     {}, {'lag': 0.08}, {'lag': 0.08, 'dead_time': 0.04}, {'rate': 20.0, 'late': 0.1},
     {'lag': 0.08, 'dead_time': 0.04, 'late': 0.1}, {'noise': 5e-4}, {'play': 0.01},

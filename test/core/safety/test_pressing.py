@@ -36,6 +36,7 @@ def pressed(seed, method, seconds=4.0):
 # Without each of these three some of the motions failed: the bending of the links' ways (FORCED,
 # seeds 7 and 10; braking in every other tick, seed 13), the easing of slight intrusions (FORCED,
 # seed 17), and slowing down on a path that leads nowhere (variational, seeds 1, 6 and 8).
+@pytest.mark.first_alone
 @pytest.mark.parametrize('seed, method', [
     (7, 'dynamic_factor'), (10, 'dynamic_factor'), (13, 'dynamic_factor'), (17, 'dynamic_factor'),
     (1, 'variational'), (6, 'variational'), (8, 'variational')])

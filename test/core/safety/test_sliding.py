@@ -140,8 +140,8 @@ def test_any_command_among_obstacles_is_safe(direction, seed):
     assert min(r.nearest.distance for r in run.results) > begin - 1e-4
 
 
-@pytest.mark.parametrize('method', [
-    'dynamic_factor', pytest.param('variational', marks=pytest.mark.long)])
+@pytest.mark.first_alone
+@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
 def test_a_target_behind_a_ball_is_reached_by_sliding(method):
     ball = Obstacle('ball', BEGIN.tip_position + (0.05, 0.2, -0.02), (0.07, 0.07, 0.07))
     goal = Pose(BEGIN.tip_position + (0.0, 0.4, 0.0), BEGIN.tip_rotation)

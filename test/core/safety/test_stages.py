@@ -182,6 +182,7 @@ def test_same_inputs_give_the_same_output():
     assert first.stage is second.stage
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('delay', [1, 2])
 @pytest.mark.parametrize('seed', range(3))
 def test_old_measurements_cost_margin_but_no_acceleration_limit(delay, seed):

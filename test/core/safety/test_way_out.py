@@ -65,6 +65,7 @@ def test_a_regular_posture_needs_no_way_out():
     assert found_at(make_panda(), np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])) is None
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('make', [
     make_panda, lambda: make_ur('ur3'), lambda: make_ur('ur5'), lambda: make_ur('ur10')],
     ids=['panda', 'ur3', 'ur5', 'ur10'])

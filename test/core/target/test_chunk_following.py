@@ -104,6 +104,7 @@ def test_a_chunk_faster_than_the_limits_is_followed_as_fast_as_they_allow():
     assert 0.05 < progress.behind < 0.6
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('of_poses', [False, True])
 def test_chunks_that_disagree_take_over_without_a_jump(of_poses):
     random, now = np.random.default_rng(3), 0.0
@@ -171,6 +172,7 @@ def test_a_chunk_that_began_earlier_is_joined_where_it_is_by_now():
     run.assert_within_limits()
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('of_poses', [False, True])
 def test_in_front_of_an_obstacle_it_waits_and_goes_on_when_that_is_gone(of_poses):
     t = np.linspace(0.0, 2.0, 21)

@@ -45,8 +45,8 @@ def test_it_arrives_anywhere_within_all_limits(shares):
     run.assert_within_limits()
 
 
-@pytest.mark.parametrize('method', [
-    'dynamic_factor', pytest.param('variational', marks=pytest.mark.long)])
+@pytest.mark.first_alone
+@pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
 def test_it_goes_around_a_wall(method):
     run, target = Run(start=LEFT, method=method), tip(PANDA, RIGHT)
     assert run.to(target, 15.0, Scene.of([WALL])).state is TargetState.REACHED

@@ -30,6 +30,7 @@ def sampled(signal, rate):
     return lambda t: signal(np.floor(t * rate + 1e-9) / rate)
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('rate', [250, 30, 10, 3])
 def test_it_is_followed_one_lag_behind_without_a_stop_or_a_thought(rate):
     run = Run()

@@ -24,6 +24,7 @@ LEFT = np.array([0.7, 0.6, 0.0, -1.9, 0.0, 2.4, 0.8])
 RIGHT = LEFT * (-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
+@pytest.mark.long
 @settings(max_examples=examples(8), derandomize=True)
 @given(st.lists(st.floats(0.05, 0.95), min_size=7, max_size=7))
 def test_every_joint_arrives_within_all_limits(shares):
@@ -37,6 +38,7 @@ def test_every_joint_arrives_within_all_limits(shares):
     run.assert_within_limits()
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('parameters', [
     {}, {'method': 'variational'}, {'target_path': 'straight'}])
 def test_it_goes_around_a_wall(parameters):

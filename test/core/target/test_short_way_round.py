@@ -50,6 +50,7 @@ def test_an_arm_that_has_turned_often_goes_on_from_there():
     assert turned(run).max() < 0.41
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('seed', range(4))
 def test_postures_at_a_pose_are_reached_without_turning_more_than_half(seed):
     random = np.random.default_rng(seed)

@@ -52,8 +52,8 @@ def test_all_arms_with_six_or_seven_joints_are_tried():
     assert len(ARMS) >= 19 and {'panda', 'ur5_robot', 'xarm7', 'kinova', 'z1'} <= set(ARMS)
 
 
-@pytest.mark.parametrize('name', [
-    name if name == 'panda' else pytest.param(name, marks=pytest.mark.long) for name in ARMS])
+@pytest.mark.first_alone
+@pytest.mark.parametrize('name', ARMS)
 def test_the_arm_moves_from_its_start_in_every_direction(name):
     robot = arm_named(name)
     q = start_posture(robot)

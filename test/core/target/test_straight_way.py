@@ -98,6 +98,7 @@ def test_a_new_target_on_the_way_is_taken_up_without_a_stop():
     run.assert_within_limits()
 
 
+@pytest.mark.first_alone
 @pytest.mark.parametrize('lag', [0.0, 0.08])
 @pytest.mark.parametrize('rate', [30, 100, 250, 500])
 def test_a_stream_is_followed_smoothly_one_lag_behind(rate, lag):
