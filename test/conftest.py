@@ -11,6 +11,7 @@ import time
 from hypothesis import HealthCheck, settings
 import numpy as np
 import pytest
+from ros_domains import next_domain
 from standstill import Standstill, waited
 
 from redundant_planner.core.parameters import AXES
@@ -196,16 +197,14 @@ def central_difference(function, q: np.ndarray, step: float = 1e-6) -> np.ndarra
                      / (2.0 * step) for e in np.eye(len(q))], axis=-1)
 
 
-PAPER_DOMAINS = range(91, 93)
-
-
 @pytest.fixture(scope='session')
 def paper_runs(tmp_path_factory):
     """The paper's scenario played live, every tick recorded, side by side; method → bag."""
     folder = tmp_path_factory.mktemp('paper_runs')
     methods = ('dynamic_factor', 'variational')
     with ThreadPoolExecutor(len(methods)) as pool:
-        bags = pool.map(_paper_run, methods, [folder] * len(methods), PAPER_DOMAINS)
+        bags = pool.map(_paper_run, methods, [folder] * len(methods),
+                        [next_domain() for _ in methods])
         return dict(zip(methods, bags))
 
 

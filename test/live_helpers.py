@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-import itertools
 import os
 from pathlib import Path
 import tempfile
 import time
 
-from conftest import PAPER_DOMAINS
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from forked_nodes import Forked, ForkedProcesses
 from geometry_msgs.msg import Twist
@@ -18,6 +16,7 @@ import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
+from ros_domains import next_domain
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
@@ -33,9 +32,6 @@ LIVE = pytest.mark.flaky(reruns=2, reruns_delay=1, condition='config.was_hindere
 # How long a test waits before it fails; a machine that does other things too may stand still
 # for a second at any moment, so what is true `at once` is waited for all the same.
 PATIENCE = 120.0
-# Domains above 101 use ports that Linux hands out to whoever asks for any.
-_domains = itertools.count(os.getpid())
-_LONE_DOMAIN = PAPER_DOMAINS.stop
 
 
 class Station:
@@ -133,11 +129,6 @@ class Station:
         return len(recent) == 20 and not any(np.any(m.velocity) for m in recent)
 
 
-def next_domain():
-    """Return a ROS domain for one test."""
-    return 1 + next(_domains) % (PAPER_DOMAINS.start - 1)
-
-
 @contextmanager
 def station(kind=ForkedProcesses):
     """Yield a Station and a kind of Processes on a ROS domain of their own."""
@@ -159,7 +150,7 @@ def station(kind=ForkedProcesses):
 
 def run_node(node, *arguments):
     """Run a node that is expected to end by itself; return (status, stderr)."""
-    environment = dict(os.environ, ROS_DOMAIN_ID=str(_LONE_DOMAIN))
+    environment = dict(os.environ, ROS_DOMAIN_ID=str(next_domain()))
     with tempfile.NamedTemporaryFile() as errors:
         child = Forked(node, ['--ros-args', *arguments], environment, Path(errors.name))
         try:

@@ -9,6 +9,7 @@ from conftest import make_panda, PANDA_READY, PANDA_URDF, ROBOTS
 import numpy as np
 import pytest
 import rclpy
+from ros_domains import next_domain
 
 from redundant_planner.core.errors import ObstacleError
 from redundant_planner.io.cloud_writer import cloud_bytes
@@ -63,7 +64,7 @@ def test_a_transform_is_that_of_its_moment(tf2):
 def node(monkeypatch):
     """A node without an executor: what it publishes and says is kept, time stands still."""
     rclpy.init(args=['--ros-args', '--params-file', str(ROBOTS / 'panda.yaml'), '-p',
-                     f'urdf:={PANDA_URDF}', '-p', 'min_points:=1'], domain_id=103)
+                     f'urdf:={PANDA_URDF}', '-p', 'min_points:=1'], domain_id=next_domain())
     try:
         made = cloud_obstacles.CloudObstacles()
         made.sent, made.said, made.time = [], [], 100.0

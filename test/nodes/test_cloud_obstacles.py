@@ -13,6 +13,7 @@ from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message, serialize_message
+from ros_domains import next_domain
 from sensor_msgs.msg import PointCloud2, PointField
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
@@ -39,8 +40,6 @@ BALL = Obstacle('ball', [0.45, 0.45, 0.5], [0.1, 0.1, 0.1])
 # Far behind all that, out of the arm's reach: what the camera sees when nothing is before it.
 BACKDROP = Obstacle.box('backdrop', [-1.8, 0.0, 0.0], [0.1, 9.0, 9.0])
 BASE = 'panda_link0'
-# Of the test that plays a scenario: stations have lower ones.
-_DOMAIN = 95
 
 
 class Seer:
@@ -257,7 +256,7 @@ def test_a_panda_passes_what_only_a_camera_sees_and_its_bag_replays_exactly(tmp_
         unaware.append(unaware[-1] + 0.01 * np.linalg.pinv(
             panda.kinematics(unaware[-1]).jacobian) @ scenario.twist_at(0.01 * i))
     assert smallest_clearance(panda, np.array(unaware), carton).level < -0.1
-    bag = play(scenario, file, tmp_path / 'bag', camera_files=FILES[1:], domain_id=_DOMAIN,
+    bag = play(scenario, file, tmp_path / 'bag', camera_files=FILES[1:], domain_id=next_domain(),
                planner_values={'urdf': PANDA_URDF, 'publish_ticks': True}, kind=ForkedProcesses
                ).bag
     recording = read_recording(bag)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rclpy
 from rclpy.serialization import deserialize_message
+from ros_domains import next_domain
 import scene_messages as m
 from scene_stand_in import encoded, StandIn
 from visualization_msgs.msg import MarkerArray
@@ -49,7 +50,7 @@ def node(monkeypatch, request):
     """A node without an executor: what it publishes and says is kept, time stands still."""
     more = getattr(request, 'param', [])
     rclpy.init(args=['--ros-args', '--params-file', str(ROBOTS / 'panda.yaml'), '-p',
-                     f'urdf:={PANDA_URDF}', *more], domain_id=104)
+                     f'urdf:={PANDA_URDF}', *more], domain_id=next_domain())
     try:
         made = StandIn()
         made.obstacles, made.held, made.said, made.time = Published(), Published(), [], 100.0

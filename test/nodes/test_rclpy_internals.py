@@ -12,6 +12,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from ros_domains import next_domain
 from std_msgs.msg import String
 
 from redundant_planner.core.errors import ParameterError
@@ -23,7 +24,7 @@ from redundant_planner.nodes.ros_parameters import refuse_unknown_parameters
 @contextmanager
 def lone_node(*arguments):
     context = Context()
-    rclpy.init(context=context, domain_id=104)
+    rclpy.init(context=context, domain_id=next_domain())
     node = Node('lone', context=context, cli_args=['--ros-args', *arguments],
                 start_parameter_services=False, enable_rosout=False)
     try:

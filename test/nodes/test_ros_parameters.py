@@ -12,6 +12,7 @@ import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
+from ros_domains import next_domain
 import yaml
 
 from redundant_planner.core.errors import ParameterError
@@ -104,7 +105,7 @@ def test_a_decimal_on_the_command_line_wins_over_a_whole_number_in_a_file(tmp_pa
 @contextmanager
 def node_with(*arguments, name='planner_node'):
     context = Context()
-    rclpy.init(context=context, domain_id=103)
+    rclpy.init(context=context, domain_id=next_domain())
     node = Node(name, context=context, cli_args=['--ros-args', *arguments],
                 start_parameter_services=False, enable_rosout=False)
     try:

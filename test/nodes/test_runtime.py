@@ -6,12 +6,12 @@ import os
 import signal
 import threading
 
-from live_helpers import next_domain
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from ros_domains import next_domain
 
 from redundant_planner.nodes.runtime import best_executor, spin_once
 

@@ -14,7 +14,7 @@ import time
 
 from chromium import browser, Chromium
 from conftest import make_panda, PANDA_URDF
-from live_helpers import children_of, next_domain, PATIENCE, station
+from live_helpers import children_of, PATIENCE, station
 import numpy as np
 import pytest
 import rclpy
@@ -22,6 +22,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from ros_domains import next_domain
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 

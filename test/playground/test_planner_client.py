@@ -7,13 +7,14 @@ from dataclasses import replace
 import time
 
 from conftest import make_paper_arm
-from live_helpers import next_domain, PATIENCE
+from live_helpers import PATIENCE
 import numpy as np
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_domains import next_domain
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
