@@ -316,7 +316,7 @@ class PlannerNode(EndableNode):
             'waiting for joint_states: '
             + why_nothing_comes(self, 'joint_states', 'sensor_msgs/msg/JointState'))
         if waits_for != self._waits_for:
-            self._warn(waits_for)
+            self.get_logger().warning(waits_for)
             self._waits_for = waits_for
 
     def _move_ticks(self, loop: ControlLoop) -> None:

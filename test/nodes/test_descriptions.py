@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 pytestmark = LIVE
@@ -82,13 +83,14 @@ def test_the_same_again_is_nothing_and_a_changed_one_is_said_while_the_arm_moves
 def test_an_arm_that_does_not_say_where_it_is_is_waited_for_in_words():
     with station() as (ros, processes):
         said, description = listen(ros)
+        ros.node.destroy_publisher(ros.joint_states)
         description.publish(String(data=TEXT))
         processes.start('planner_node', values=WAITING)
         ros.wait_for(says(said, "waiting for joint_states: nobody publishes on '/joint_states'"),
                      'word of nobody')
-        ros.node.create_publisher(String, 'joint_states', 1)
-        ros.wait_for(says(said, "'/station' publishes 'std_msgs/msg/String' on '/joint_states'; "
-                                "it must be 'sensor_msgs/msg/JointState'"), 'word of the type')
+        ros.node.create_publisher(JointState, 'joint_states', 1)
+        ros.wait_for(says(said, "'/station' publishes on '/joint_states', and nothing has come"),
+                     'word of the silent one')
         processes.start('fake_hardware_node', FILE, ARM_VALUES)
         ros.drive_until(FORWARD, ros.moves, 'motion')
         assert sum('waiting for joint_states' in line for line in said) == 2
