@@ -56,13 +56,12 @@ def test_a_tick_has_room_for_every_row_that_it_may_write(monkeypatch):
 def test_a_tick_that_has_too_many_rows_says_so_before_it_writes_one():
     robot = make_panda()
     planner = Planner(robot, PlannerParameters(clearance_self_margin=1.0))
-    memory = planner._setup.value.memory
-    assert memory.rows.gradient.base is not None  # a view of what crosses over
+    setup = planner._setup.value
+    assert setup.rows.gradient.base is not None  # a view of what crosses over
     small = planner._constants._replace(self_pairs=planner._constants.self_pairs[:0])
-    planner._setup = planner_module.Packed.of(planner._setup.value._replace(
-        memory=memory._replace(rows=room_for_rows(small)._replace(
-            gradient=np.empty((3, robot.n)), terms=np.empty((3, 3)),
-            about=np.empty((3, 3), np.intp)))))
+    planner._setup = planner_module.Packed.of(setup._replace(rows=room_for_rows(small)._replace(
+        gradient=np.empty((3, robot.n)), terms=np.empty((3, 3)),
+        about=np.empty((3, 3), np.intp))))
     with pytest.raises(IndexError, match='more barriers than room_for_rows has room for'):
         planner.step(PANDA_READY, np.zeros(6), NOTHING, DT)
 

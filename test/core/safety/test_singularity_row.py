@@ -38,7 +38,7 @@ def row_at(monkeypatch):
     def row(robot, q):
         planner = Planner(robot, PARAMETERS)
         planner.step(q, np.zeros(6), Scene.of([]), 0.004)
-        rows = barriers_in(planner._setup.value.memory.rows, wishes[-1].rows_used)
+        rows = barriers_in(planner._setup.value.rows, wishes[-1].rows_used)
         at = int(np.flatnonzero(rows.kind == SINGULARITY)[0])
         return rows.gradient[at].copy(), float(rows.value[at])
     return row

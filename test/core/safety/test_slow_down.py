@@ -129,7 +129,7 @@ def test_no_barrier_is_broken_near_a_person_that_is_kept_without(seed, speed, pr
             previous = planner._last.dq
             result = planner.step(q, twist, Scene.of([ball, PERSON]), DT)
             if result.stage in (Stage.DESIRED, Stage.SCALED, Stage.BRAKING, Stage.SLIDING):
-                rows = barriers_in(planner._setup.value.memory.rows, found[-1].rows_used)
+                rows = barriers_in(planner._setup.value.rows, found[-1].rows_used)
                 stop = stopping_time(previous, PANDA.acceleration_max)
                 change = -DT if result.stage is Stage.BRAKING else DT
                 bounds = barrier_bounds(
