@@ -37,19 +37,19 @@ bounds: $(VENV)/.test-ready
 
 .PHONY: $(BOUNDS)
 bounds-target:
-	$(CHECKED) -m pytest -q test/core/target
+	$(CHECKED) -m pytest -q --long test/core/target
 bounds-safety:
-	$(CHECKED) -m pytest -q test/core/robot test/core/safety
+	$(CHECKED) -m pytest -q --long test/core/robot test/core/safety
 # Those of test_kernels.py are about how machine code is kept, and of test_imports.py about files.
 bounds-core:
-	$(CHECKED) -m pytest -q test/core --ignore test/core/target --ignore test/core/robot \
+	$(CHECKED) -m pytest -q --long test/core --ignore test/core/target --ignore test/core/robot \
 	    --ignore test/core/safety --ignore test/core/test_kernels.py \
 	    --ignore test/core/test_numba.py --ignore test/core/test_imports.py
 bounds-fuzz:
 	for kind in core clouds bytes; do \
 	    $(CHECKED) -m benchmark.fuzz --seed 1 --minutes 0.4 --what $$kind || exit 1; done
 bounds-paper:
-	$(CHECKED) -m pytest -q test/paper test/perception
+	$(CHECKED) -m pytest -q --long test/paper test/perception
 bounds-worst:
 	$(CHECKED) -m benchmark.worst_case --ticks 10000
 
@@ -57,7 +57,7 @@ bounds-worst:
 lowest: $(LOWEST)/.ready
 	cd test/core && export NUMBA_CACHE_DIR=$(abspath $(LOWEST))/cache PYTHONPATH=$(CURDIR) && \
 	    $(abspath $(LOWEST))/bin/python -m redundant_planner.compile && \
-	    $(abspath $(LOWEST))/bin/python -m pytest -q test_numba.py test_planner.py \
+	    $(abspath $(LOWEST))/bin/python -m pytest -q --long test_numba.py test_planner.py \
 	        test_kernels.py -k 'not plainly and not kept and not anew and not two_processes'
 
 docs: $(VENV)/.docs-ready
