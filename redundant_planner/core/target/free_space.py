@@ -209,6 +209,18 @@ class FreeSpace:
             np.isfinite(forgiven[pairs]), np.maximum(-room[pairs], 0.0), np.inf)
         return Place(q, room + forgiven)
 
+    def too_near(self, room: Array) -> str:
+        """Say which link has the least room (k,), and what is missing of its margin."""
+        links, pairs = len(self._constants.lever_arm_bounds), self._constants.self_pairs
+        names, least = [capsule.name for capsule in self.robot.capsules], int(room.argmin())
+        missing = f'{-1e3 * room[least]:.1f} mm too near to'
+        if least < links:
+            return f"'{names[least]}' would be {missing} an obstacle"
+        if least < links + len(pairs):
+            one, other = pairs[least - links]
+            return f"'{names[one]}' would be {missing} '{names[other]}'"
+        return f'the tip would lean {-math.degrees(room[least]):.1f}° out of its cone'
+
     def nearest_obstacle(self, postures: Array) -> float:
         """Return the least room that any link has to an obstacle at postures (N, n) [m]."""
         links = len(self._constants.lever_arm_bounds)

@@ -92,6 +92,7 @@ class PathSearch:
         self._tree: _Tree | None = None  # the latest one that begins at the start
         self._space, self._start, self._gives_way = space, space.begin_at(start), gives_way
         self._goals: list[Place] = []
+        self._tightest: Array | None = None  # room (k,) of the goal that is nearly free
         self._random = np.random.default_rng(0)
         self._postures = (
             goal_postures(space, start, target, self._random) if isinstance(target, Pose) else
@@ -123,7 +124,9 @@ class PathSearch:
         if self.out_of_reach:
             return 'no posture has the tip at the target'
         if not self._goals:
-            return 'at the target the arm would touch something'
+            return 'at the target ' + (
+                'the arm would touch something' if self._tightest is None
+                else self._space.too_near(self._tightest))
         return 'no way to the target is found'
 
     def step_aside(self) -> None:
@@ -152,7 +155,11 @@ class PathSearch:
         while len(self._goals) < _GOALS and self._guesses < until:
             found = next(self._postures)
             yield
-            self._goals += [goal for goal in found or () if (goal.room >= _AT_GOAL).all()]
+            for goal in found or ():
+                if (goal.room >= _AT_GOAL).all():
+                    self._goals.append(goal)
+                elif self._tightest is None or goal.room.min() > self._tightest.min():
+                    self._tightest = goal.room
             self._guesses += found is None
             self._reached = self._reached or bool(found)
         self.out_of_reach = not self._reached and self._guesses >= _GUESSES_OUT_OF_REACH

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from conftest import examples, make_paper_arm, PANDA_READY
 from hypothesis import given, settings, strategies as st
 import numpy as np
@@ -68,7 +70,11 @@ def test_a_target_that_touches_something_is_waited_for():
     run, scene = Run(start=LEFT), Scene.of([ball])
     progress = run.to(RIGHT, 3.0, scene)
     assert progress.state is TargetState.BLOCKED
-    assert 'at the target the arm would touch something' in run.results[-1].reason
+    said = re.search(r"at the target '(\w+)' would be ([\d.]+) mm too near to an obstacle",
+                     run.results[-1].reason)
+    nearest = Motion.through(CAPSULES, RIGHT[None]).to_obstacles((ball,), 0.0)
+    missing = PlannerParameters().clearance_margin - nearest.distance
+    assert said[1] in str(nearest) and float(said[2]) == pytest.approx(1e3 * missing, abs=0.1)
     np.testing.assert_allclose(run.q, LEFT, atol=1e-3)
     assert run.to(RIGHT, 15.0).state is TargetState.REACHED
     run.assert_within_limits()
