@@ -96,7 +96,7 @@ def print_summary(
 ) -> None:
     """Print the tables of a run."""
     joints = Table(title=f"Scenario '{scenario.name}' on '{robot.name}', live")
-    for heading in ('joint [rad, m]', 'start', 'end', 'displacement', 'path Σ|Δq|'):
+    for heading in ('joint (rad, m)', 'start', 'end', 'displacement', 'path Σ|Δq|'):
         joints.add_column(heading, justify='left' if 'joint' in heading else 'right')
     for i, name in enumerate(robot.joint_names):
         joints.add_row(name, *(f'{value:.4f}' for value in (
