@@ -143,18 +143,20 @@ def sections(
     """Return where a tick's time goes, each part by itself, called from Python [us]."""
     maps = inflated_obstacles(Scene.of(obstacles), [c.radius for c in robot.capsules])
     arm, p = robot.kinematics(start), PlannerParameters()
-    speeds = robot.lever_arm_bounds @ robot.acceleration_max * _DT  # of the first tick from rest
+    fastest = robot.acceleration_max * _DT  # in the first tick from rest
+    speeds = robot.lever_arm_bounds @ fastest
     all_seen = np.full(len(speeds), np.inf)
     links = robot.links(arm)
     near = near_pairs(
-        maps, links, speeds, p.clearance_gain, p.clearance_influence_distance, all_seen)
+        maps, links, fastest, speeds, p.clearance_gain, p.clearance_influence_distance, all_seen)
     limits = Limits(np.array((robot.position_max, robot.position_min)),
                     np.array(robot.velocity_max), np.array(robot.acceleration_max), 0.0)
     at_rest, twist = np.zeros(robot.n), robot.task_rows(_TWIST)
     parts = {
         'kinematics': lambda: robot.kinematics(start),
         'clearances and gradients': lambda: near_pairs(
-            maps, links, speeds, p.clearance_gain, p.clearance_influence_distance, all_seen),
+            maps, links, fastest, speeds, p.clearance_gain, p.clearance_influence_distance,
+            all_seen),
         'decomposition': lambda: null_space.decompose(arm.jacobian),
         'derivative of J': lambda: derivative_between(
             twist, arm.tip_jacobian, start, arm.tip_rotation, robot.in_tool, robot.rows),

@@ -253,7 +253,8 @@ def _wish(
     can = pace(start.previous, limits, constants, gains.clearance_gain, dt)
     links = Links(arm.segment_start, arm.segment_end, arm.joint_screws, constants.supports)
     near = near_pairs(
-        obstacles, links, can.link_speeds, can.rate, gains.clearance_influence_distance,
+        obstacles, links, can.fastest, can.link_speeds, can.rate,
+        gains.clearance_influence_distance,
         unseen_distances(arm.segment_start, arm.segment_end, world.seen_start, world.seen_end,
                          world.ranges))
     self_pairs = SelfPairs(constants.radii, constants.self_pairs, constants.self_supports,

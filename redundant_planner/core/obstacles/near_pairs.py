@@ -37,6 +37,8 @@ MOST_PAIRS = 120
 MOST_ACTING = 60
 # Most pairs that enter the problem of the joint path ahead.
 MOST_AHEAD_PAIRS = 100
+# How much more than the gradient says a motion may use up, as points move in arcs.
+_ARCS = 1.2
 # Points of a link count by themselves if they are further apart than this [m].
 _APART = 0.01
 
@@ -167,7 +169,7 @@ def _candidates(
 
 @compiled
 def near_pairs(
-    obstacles: InflatedObstacles, arm: Links, speeds: Vector, rate: float,
+    obstacles: InflatedObstacles, arm: Links, fastest: Vector, speeds: Vector, rate: float,
     influence_distance: float, unseen: Vector,
 ) -> NearPairs:
     """Return the pairs that are within the influence distance, or whose barrier could act.
@@ -178,45 +180,36 @@ def near_pairs(
     Args:
         obstacles: the obstacles.
         arm: its links.
-        speeds: (c,) the fastest any point of a link may move in this tick [m/s].
+        fastest: (n,) speeds of the joints in this tick [rad/s, m/s].
+        speeds: (c,) the fastest any point of a link may move with these [m/s].
         rate: share of a clearance that may be used up per second [1/s].
         influence_distance: [m].
         unseen: (c,) how near to a link obstacles may be that are not among them [m].
     """
     shape = obstacles.smallest.shape
     pairs = Pairs(np.empty(shape), np.empty(shape), np.empty(shape))
-    fastest, fastest_link = 0.0, 0.0
+    approach, fastest_link = 0.0, 0.0
     for speed in obstacles.speeds:
-        fastest = max(fastest, speed)
+        approach = max(approach, speed)
     for speed in speeds:
         fastest_link = max(fastest_link, speed)
     measure(obstacles, arm.start, arm.end, 0.0,
-            max(influence_distance, (fastest_link + fastest) / rate), pairs)
+            max(influence_distance, (fastest_link + approach) / rate), pairs)
     found, count, link_at, obstacle_at = _candidates(
         obstacles, arm, pairs, speeds, rate, influence_distance)
-    spare = found.spare[:count]
-    acts = int(np.sum(spare <= 0.0))
-    widest, urgent = np.inf, np.inf
-    if count > MOST_PAIRS:
-        widest = kth_smallest(spare, MOST_PAIRS)
-    if acts > MOST_ACTING:
-        urgent = kth_smallest(spare, MOST_ACTING)
+    spare = found.spare
+    widest = kth_smallest(spare[:count], MOST_PAIRS) if count > MOST_PAIRS else np.inf
     unseen, kept = unseen.copy(), 0
-    acting = np.empty(min(acts, MOST_ACTING), np.intp)
-    acts = 0
     for i in range(count):
-        link, obstacle, inactive = found.links[i], found.obstacles[i], spare[i]
-        if inactive <= 0.0 and inactive < urgent:
-            acting[acts] = kept
-            acts += 1
-        elif inactive <= 0.0:
-            unseen[link] = min(unseen[link], found.normalized_distance[i]
-                               * obstacles.smallest[link, obstacle])
-        if inactive < widest:
+        link, obstacle = found.links[i], found.obstacles[i]
+        if spare[i] < widest:
             found.links[kept], found.obstacles[kept] = link, obstacle
-            found.parameter[kept] = found.parameter[i]
+            found.parameter[kept], found.spare[kept] = found.parameter[i], spare[i]
             found.normalized_distance[kept] = found.normalized_distance[i]
             kept += 1
+        elif spare[i] <= 0.0:
+            unseen[link] = min(unseen[link], found.normalized_distance[i]
+                               * obstacles.smallest[link, obstacle])
     gradient, rates = np.empty((kept, arm.joint_screws.shape[1])), np.empty(kept)
     links, chosen = found.links[:kept], found.obstacles[:kept]
     clearance_gradients_of(
@@ -224,6 +217,22 @@ def near_pairs(
     rho, distance = found.normalized_distance[:kept], np.empty(kept)
     for i in range(kept):
         distance[i] = rho[i] * obstacles.smallest[links[i], chosen[i]]
+        if spare[i] <= 0.0 and obstacles.speeds[chosen[i]] == 0.0:
+            # Towards a thing at rest a link may be slower than its fastest point.
+            used = 0.0
+            for j in range(len(fastest)):
+                used += abs(gradient[i, j]) * fastest[j]
+            spare[i] = distance[i] - _ARCS * used / rate * obstacles.smallest[links[i], chosen[i]]
+    acts = int(np.sum(spare[:kept] <= 0.0))
+    urgent = kth_smallest(spare[:kept], MOST_ACTING) if acts > MOST_ACTING else np.inf
+    acting = np.empty(min(acts, MOST_ACTING), np.intp)
+    acts = 0
+    for i in range(kept):
+        if spare[i] <= 0.0 and spare[i] < urgent:
+            acting[acts] = i
+            acts += 1
+        elif spare[i] <= 0.0:
+            unseen[links[i]] = min(unseen[links[i]], distance[i])
     near, least = np.inf, np.inf
     if link_at >= 0:
         near = pairs.normalized_distance[link_at, obstacle_at]
