@@ -95,8 +95,8 @@ def _timed(
     shortest = max(
         float((np.abs(rate) / robot.velocity_max).max()) / share,
         float(np.sqrt((np.abs(bend) / robot.acceleration_max).max() / share)),
-        float(np.linalg.norm(twists[:, :3], axis=1).max()) / parameters.limits_linear_speed,
-        float(np.linalg.norm(twists[:, 3:], axis=1).max()) / parameters.limits_angular_speed)
+        float(np.linalg.norm(twists[:, :3], axis=1).max()) / parameters.twist_speeds[0],
+        float(np.linalg.norm(twists[:, 3:], axis=1).max()) / parameters.twist_speeds[1])
     count = int(np.ceil(shortest / _SAMPLING)) + 1
     duration = _SAMPLING * (count - 1)
     times = np.linspace(0.0, 1.0, count)

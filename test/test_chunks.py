@@ -28,7 +28,7 @@ def test_trajectories_are_within_all_limits_and_hit_something_or_nothing(hits):
     assert (np.abs(curve(t, 2)) <= 1.2 * ROBOT.acceleration_max).all()
     speeds = [np.linalg.norm((ROBOT.kinematics(q).tip_jacobian @ dq)[:3])
               for q, dq in zip(curve(t[::20]), curve(t[::20], 1))]
-    assert max(speeds) <= 1.02 * PlannerParameters().limits_linear_speed
+    assert max(speeds) <= 1.02 * PlannerParameters().twist_speeds[0]
     distance = Motion.through(capsules_of(ROBOT), curve(t)).to_obstacles(obstacles, DT).distance
     assert distance < 0.0 if hits else distance > 0.0299
     assert len(obstacles) == 4

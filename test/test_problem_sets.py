@@ -270,5 +270,5 @@ def test_a_short_run_of_a_made_family_hits_nothing(tmp_path, capsys):
     assert entry['count'] == 2 and entry['collisions'] == entry['self_collisions'] == 0
     assert entry['limit_violations'] == 0
     assert len(entry['stopped']) == round(2 * (1 - entry['reached']))
-    assert set(entry['families']) == {'box'}
+    assert set(entry['by_family']) == {'box'}
     assert 'dynamic_factor' in capsys.readouterr().out

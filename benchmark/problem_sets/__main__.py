@@ -65,6 +65,9 @@ def _options(args: list[str] | None) -> argparse.Namespace:
                         'the goal itself')
     parser.add_argument('--optimum', action='store_true',
                         help='compare every way with the shortest one near it (CasADi)')
+    parser.add_argument('--toppra', action='store_true',
+                        help='compare the time of every motion with the shortest on the same '
+                        'path (TOPP-RA, jerk not limited)')
     parser.add_argument('--explain', action='store_true',
                         help='plan what was not reached without the line as well')
     parser.add_argument('--jobs', type=int, default=1,
@@ -136,7 +139,7 @@ def main(args: list[str] | None = None) -> int:
     methods = options.method or list(DEFAULT_METHODS) + [
         name for name in ('mink', 'pink') if not missing(name)]
     task = Task(tuple(methods), options.margin, options.explain,
-                options.command == 'target_pose', options.optimum)
+                options.command == 'target_pose', options.optimum, options.toppra)
     try:
         result = run(_jobs(options), task, options.jobs)
     except ProblemFileError as error:

@@ -36,11 +36,14 @@ class Outcome:
         limit_violation: largest excess over a limit of position, velocity or acceleration, as a
             share of it (positions: in rad, m).
         path: Σ|Δq| over all joints [rad, m].
-        time: of the run [s].
+        l2: the same by the Euclidean length of each step.
+        time: from the first motion to the end of the run [s].
         tick_us: (k,) time of every tick [us].
         reason: what held the arm back last.
         thought: time until the first motion [s].
         path_ratio: see `shortest.path_ratio`; NaN if nobody looked.
+        time_ratio: of `time` to that of the fastest motion on the same path, see
+            `fastest.fastest_time`; NaN if nobody looked.
     """
 
     problem: str
@@ -51,11 +54,18 @@ class Outcome:
     itself: Approach
     limit_violation: float
     path: float
+    l2: float
     time: float
     tick_us: Array
     reason: str
     thought: float = 0.0
     path_ratio: float = np.nan
+    time_ratio: float = np.nan
+
+    @property
+    def cpu(self) -> float:
+        """CPU time of all ticks [s]."""
+        return 1e-6 * float(self.tick_us.sum())
 
 
 class Judge:
@@ -68,6 +78,7 @@ class Judge:
 
     def judge(self, problem: Problem, run: Run) -> Outcome:
         """Return what a run came to."""
+        steps, thought = np.diff(run.postures, axis=0), DT * _first_motion(run.velocities)
         meshes = Motion.through(self._meshes, run.postures)
         capsules = Motion.through(self.capsules, run.postures)
         return Outcome(
@@ -75,8 +86,8 @@ class Judge:
             meshes.to_obstacles(problem.obstacles, DT),
             capsules.to_obstacles(problem.obstacles, DT), meshes.to_itself(),
             limit_violation(self._robot, run.postures, run.velocities, DT),
-            float(np.abs(np.diff(run.postures, axis=0)).sum()), DT * len(run.velocities),
-            run.tick_us, run.reason, DT * _first_motion(run.velocities))
+            float(np.abs(steps).sum()), float(np.linalg.norm(steps, axis=1).sum()),
+            DT * len(run.velocities) - thought, run.tick_us, run.reason, thought)
 
 
 def _first_motion(velocities: Array) -> int:
@@ -96,8 +107,8 @@ def summarise(outcomes: Sequence[Outcome], left_out: Counter[str]) -> dict[str, 
     return {
         **_figures(outcomes),
         'left_out': dict(left_out),
-        'families': {family: _figures([o for o in outcomes if o.family == family])
-                     for family in families},
+        'by_family': {family: _figures([o for o in outcomes if o.family == family])
+                      for family in families},
         'stopped': {o.problem: o.reason for o in outcomes if not o.reached},
         'notable': [_notable(o) for o in outcomes if collided(o) or o.limit_violation > 0.0],
     }
@@ -113,6 +124,8 @@ def _figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     reached = [o for o in outcomes if o.reached]
     ticks = [o.tick_us for o in outcomes if len(o.tick_us)]
     ratios = [o.path_ratio for o in reached if np.isfinite(o.path_ratio)]
+    times = [o.time_ratio for o in reached if np.isfinite(o.time_ratio)]
+    thoughts = [o.thought for o in reached]
     return {
         'count': len(outcomes),
         'reached': len(reached) / len(outcomes) if outcomes else None,
@@ -120,13 +133,19 @@ def _figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         'self_collisions': sum(o.itself.distance < 0.0 for o in outcomes),
         'limit_violations': sum(o.limit_violation > 0.0 for o in outcomes),
         'path_median': _median([o.path for o in reached]),
+        'l2_median': _median([o.l2 for o in reached]),
         'time_median': _median([o.time for o in reached]),
+        'total_median': _median([o.thought + o.time for o in reached]),
+        'cpu_median': _median([o.cpu for o in reached]),
         'tick_us_median': float(np.median(np.concatenate(ticks))) if ticks else None,
         'tick_us_p99': float(np.percentile(np.concatenate(ticks), 99)) if ticks else None,
         'tick_us_longest': float(max(tick.max() for tick in ticks)) if ticks else None,
-        'thought_median': _median([o.thought for o in reached]),
+        'thought_median': _median(thoughts),
+        'thought_p90': _percentile_90(thoughts),
         'path_ratio_median': _median(ratios),
-        'path_ratio_p90': float(np.percentile(ratios, 90)) if ratios else None,
+        'path_ratio_p90': _percentile_90(ratios),
+        'time_ratio_median': _median(times),
+        'time_ratio_p90': _percentile_90(times),
         'min_distance_mm': _least([o.mesh for o in outcomes]),
         'min_capsule_distance_mm': _least([o.capsule for o in outcomes]),
     }
@@ -134,6 +153,10 @@ def _figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
+
+
+def _percentile_90(values: Sequence[float]) -> float | None:
+    return float(np.percentile(values, 90)) if values else None
 
 
 def _least(approaches: Sequence[Approach]) -> float | None:

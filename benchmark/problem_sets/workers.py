@@ -37,6 +37,7 @@ class Task(NamedTuple):
         explain: whether to look into what was not reached.
         to_target: whether this package's methods get the goal as a target.
         optimum: whether to look for the shortest joint path from each way found.
+        fastest: whether to look how fast each way can be followed.
         longest: run [s].
     """
 
@@ -45,6 +46,7 @@ class Task(NamedTuple):
     explain: bool = False
     to_target: bool = False
     optimum: bool = False
+    fastest: bool = False
     longest: float = LONGEST
 
 
@@ -113,11 +115,15 @@ class Worker:
         run = servo(self.robot, problem, _step(self.robot, name, problem, task), task.longest,
                     to_target=to_target)
         outcome = self.judge.judge(problem, run)
-        if not (task.optimum and run.reached):
-            return outcome
-        from benchmark.problem_sets.shortest import path_ratio
-        return replace(outcome, path_ratio=path_ratio(
-            self.robot, problem, run.postures, task.margin))
+        if task.fastest and run.reached:
+            from benchmark.problem_sets.fastest import fastest_time
+            outcome = replace(
+                outcome, time_ratio=outcome.time / fastest_time(self.robot, run.postures))
+        if task.optimum and run.reached:
+            from benchmark.problem_sets.shortest import path_ratio
+            outcome = replace(outcome, path_ratio=path_ratio(
+                self.robot, problem, run.postures, task.margin))
+        return outcome
 
 
 def _step(robot: Robot, name: str, problem: Problem, task: Task) -> Step:

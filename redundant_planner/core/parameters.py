@@ -128,6 +128,8 @@ COMMAND_FRAMES = ('base', 'tool')
 METHODS = ('gradient_projection', 'dynamic_factor', 'variational')
 PAPER_METHODS = ('paper', 'paper_gradient_projection')
 TARGET_PATHS = ('free', 'straight')
+# Largest speed of a commanded twist for which no limit is set, linear and angular [m/s, rad/s].
+_TWIST_SPEEDS = (1.0, 2.0)
 PATH_PRIORITIES = ('yield', 'strict', 'slide')
 
 
@@ -271,15 +273,17 @@ class PlannerParameters:
         description='Distance kept from the joint position limits; covers what the arm travels '
                     'between a measurement and the command made from it.')
     limits_linear_speed: float = parameter(
-        1.0, low=0.0, high=100.0, unit='m/s', runtime=True,
+        math.inf, low=0.0, unit='m/s', runtime=True,
         group='limits',
-        description='A faster commanded twist is slowed to this, its direction kept; 0 stops '
-                    'every motion.')
+        description='The tip is no faster: a commanded twist is slowed to this, its direction '
+                    'kept, and so is the way to a target; 0 stops every motion. Infinite: 1 m/s '
+                    'for twists, straight lines and chunks; other targets as fast as the joints '
+                    'may.')
     limits_angular_speed: float = parameter(
-        2.0, low=0.0, high=100.0, unit='rad/s', runtime=True,
+        math.inf, low=0.0, unit='rad/s', runtime=True,
         group='limits',
-        description='A faster commanded rotation is slowed to this, the direction kept; 0 stops '
-                    'every motion that turns.')
+        description='The tip turns no faster, likewise; 0 stops every motion that turns. '
+                    'Infinite: 2 rad/s for twists, straight lines and chunks.')
     drive_lag: float = parameter(
         0.0, low=0.0, high=0.5, unit='s',
         group='drive',
@@ -341,6 +345,10 @@ class PlannerParameters:
                     'that it is less than 1.4 times the gap between two, it is that; where they '
                     'come in bursts, these count besides. 0 follows at once, and guesses what has '
                     'not come yet.')
+    target_effort: float = parameter(
+        0.3, low=0.01, high=1.0, runtime=True, group='target',
+        description='Share of each period in which it looks for a way to a target, 1.2 ms at '
+                    'most. With less the arm takes longer to set off, and goes longer ways.')
     target_gives_way: bool = parameter(
         False, runtime=True, group='target',
         description='Whether the arm goes aside for some seconds where it finds no free way to '
@@ -367,6 +375,13 @@ class PlannerParameters:
         0.5, low=0.0, high=3.0, unit='rad',
         group='feedback', node=False,
         description='Larger orientation errors are forgotten.')
+
+    @property
+    def twist_speeds(self) -> tuple[float, float]:
+        """Largest linear and angular speed of a commanded twist [m/s, rad/s]."""
+        linear, angular = self.limits_linear_speed, self.limits_angular_speed
+        return (linear if math.isfinite(linear) else _TWIST_SPEEDS[0],
+                angular if math.isfinite(angular) else _TWIST_SPEEDS[1])
 
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 import math
+from operator import is_not
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +78,10 @@ _FAINT = 0.01
 _RUSH = 0.1
 
 
+# A way of the joints was found free: what the gain is low for, to turn away early, is not needed.
+_ALONG_WAYS = 2.0
+
+
 class _LastTick(NamedTuple):
     """What one tick leaves to the next.
 
@@ -144,20 +149,23 @@ class Planner:
     """
 
     def __init__(
-        self, robot: Robot, parameters: PlannerParameters, *, filtered: bool = True,
+        self, robot: Robot, parameters: PlannerParameters | None = None, *,
+        filtered: bool = True,
     ) -> None:
         """Prepare for a robot.
 
         Args:
             robot: the arm.
-            parameters: the planner's.
+            parameters: the planner's; the defaults if None.
             filtered: whether the safety filter acts; off only to compare methods without it.
 
         Raises:
             ParameterError: the parameters do not fit this robot.
         """
+        parameters = PlannerParameters() if parameters is None else parameters
         self.robot = robot
         self._filtered = filtered
+        self._given: tuple[tuple[Obstacle, ...], Scene] = (), Scene.of()  # obstacles, if a list is
         self._controlled = robot.full_twist(np.ones(robot.m))
         self._last = self._at_rest()
         self._smoothing = Smoothing(
@@ -217,14 +225,14 @@ class Planner:
             self.robot = before
             raise
 
-    def contacts(self, q: Array, scene: Scene) -> tuple[Contact, ...]:
+    def contacts(self, q: Array, scene: Scene | Sequence[Obstacle]) -> tuple[Contact, ...]:
         """Return which links touch which obstacles at a posture (n,), and whether they may.
 
         Raises:
             StateError: `q` does not have n finite entries.
         """
         return contacts(
-            self.robot, self.robot.kinematics(q), scene,
+            self.robot, self.robot.kinematics(q), self._scene_of(scene),
             AllowedContacts(self._parameters.allowed_contacts, self.robot))
 
     def reset(self) -> None:
@@ -238,6 +246,15 @@ class Planner:
         self._evasive.reset()
         self._way_out.forget()
         self._watch.reset()
+
+    def _scene_of(self, given: Scene | Sequence[Obstacle]) -> Scene:
+        """Return obstacles as a scene: the same one for the same obstacles."""
+        if isinstance(given, Scene):
+            return given
+        things = tuple(given)
+        if len(things) != len(self._given[0]) or any(map(is_not, things, self._given[0])):
+            self._given = things, Scene.of(things)
+        return self._given[1]
 
     def _at_rest(self) -> _LastTick:
         return _LastTick(
@@ -258,7 +275,7 @@ class Planner:
         """Share of the null-space motion that follows the joint path ahead."""
         return self._look_ahead.guided
 
-    def prepare(self, scene: Scene) -> bool:
+    def prepare(self, scene: Scene | Sequence[Obstacle]) -> bool:
         """Do a part of the next `step` ahead of it, where there is time for that.
 
         It chooses from many obstacles, and improves the joint paths ahead. The next step becomes
@@ -267,12 +284,12 @@ class Planner:
         Returns:
             Whether it improved a path, which takes longer than most ticks.
         """
-        chose = self._watch.prepare(scene, self._last.dq)
+        chose = self._watch.prepare(self._scene_of(scene), self._last.dq)
         looked_ahead = self._look_ahead.catch_up(chose)
         return self._evasive.catch_up() or looked_ahead
 
     def step(
-        self, q: Array, twist: Array, scene: Scene, dt: float,
+        self, q: Array, twist: Array, scene: Scene | Sequence[Obstacle], dt: float,
         ahead: Preview | TwistAhead | None = None, target: Target | None = None, *,
         news: Sequence[Sighting] = (), gently: bool = False,
     ) -> StepResult:
@@ -283,7 +300,8 @@ class Planner:
                 `drive.dead_time` say, and noisy.
             twist: (6,) commanded tip twist in the command frame [m/s, rad/s]; entries of axes
                 that are not controlled do not count.
-            scene: the obstacles. Pass the same object while nothing changes.
+            scene: the obstacles. Pass the same object, or the same obstacles, while nothing
+                changes.
             dt: time until the next tick [s].
             ahead: what will be commanded, for the joint path ahead: a preview that starts now
                 (`Preview.ahead` for one that started earlier), or a function of times from now
@@ -305,9 +323,9 @@ class Planner:
         """
         # Sense: where the arm is, and the obstacles near it.
         command, commanded = limited_twist(
-            twist, self._controlled, self._parameters.limits_linear_speed,
-            self._parameters.limits_angular_speed)
+            twist, self._controlled, *self._parameters.twist_speeds)
         _check_tick(dt)
+        scene = self._scene_of(scene)
         target = None if target is None else checked_target(target, self.robot)
         news = checked_news(news, target, self.robot)
         arm = self.robot.kinematics_at(self._posture(q, dt))
@@ -554,7 +572,8 @@ class Planner:
         if share < 1.0:
             request = request._replace(desired=share * wanted, twist=share * request.twist)
         result = safe_velocity(
-            request, limits, barriers, weights=self._weights, gain=p.clearance_gain,
+            request, limits, barriers, weights=self._weights,
+            gain=p.clearance_gain if joints is None else _ALONG_WAYS * p.clearance_gain,
             price=1.0 if joints is not None else self._last.worth, slides=self._last.slid,
             may_yield=leaves or (desired.intruded and p.path_priority != 'strict'),
             may_slide=p.path_priority == 'slide' and joints is None and not leaves and bool(

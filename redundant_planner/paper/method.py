@@ -141,9 +141,9 @@ class PaperPlanner:
         if not (math.isfinite(dt) and dt > 0.0):
             raise StateError(f'dt is {dt}; it must be positive [s]')
         command = self.robot.full_twist(self.robot.task_rows(command))
-        p = self._parameters
-        excess = max(1.0, *(float(np.linalg.norm(part)) / max(limit, 1e-12) for part, limit in (
-            (command[:3], p.limits_linear_speed), (command[3:], p.limits_angular_speed))))
+        excess = max(1.0, *(
+            float(np.linalg.norm(part)) / max(limit, 1e-12)
+            for part, limit in zip((command[:3], command[3:]), self._parameters.twist_speeds)))
         return command / excess
 
     def _clearance_index(self, arm: Kinematics, scene: Scene) -> tuple[float, Array]:

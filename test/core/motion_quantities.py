@@ -62,6 +62,12 @@ def distance_left(motion):
     return motion.results[-1].progress.distance
 
 
+def time_to_the_first_motion(motion):
+    """How long the arm stands [s]."""
+    moves = np.abs([result.dq for result in motion.results]).max(axis=1) > 1e-3
+    return DT * int(moves.argmax())
+
+
 def effort(motion):
     """The squared joint speed integrated: what the shortest joint path has least of."""
     return DT * sum(result.dq @ result.dq for result in motion.results)

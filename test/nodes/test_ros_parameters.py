@@ -171,15 +171,19 @@ def test_names_of_obstacles_may_have_dots():
     assert checked_entry('capsule.a.radius', 1, 1) == 1.0
 
 
+INFINITE = ('clearance_influence_distance', 'jerk_max', 'limits_linear_speed',
+            'limits_angular_speed')
+
+
 @pytest.mark.parametrize('settings', SETTINGS)
 def test_absurd_numbers_make_no_parameter(settings):
-    """Infinite is only what has a meaning: no obstacle out of reach, no limit of the jerk."""
+    """Infinite is only what has a meaning: no obstacle out of reach, no limit."""
     for entry in fields(settings):
         numbers = isinstance(entry.default, (int, float)) or 'float' in str(entry.type)
         if isinstance(entry.default, bool) or not numbers:
             continue
         for value in (np.nan, np.inf, -np.inf, 1e308, -1e308, 10**400):
-            if value >= 1e308 and entry.name in ('clearance_influence_distance', 'jerk_max'):
+            if value >= 1e308 and entry.name in INFINITE:
                 continue
             given = (value,) if isinstance(entry.default, tuple) else value
             with pytest.raises(ParameterError, match=f"'{ros_name(entry)}'"):

@@ -1,14 +1,15 @@
 """To a target by a short joint path, wherever that takes the tip.
 
-A standing arm thinks: it looks for ways to any posture with the tip at the target, a little in
-each tick, until they do not become shorter any more or its patience is over. The shortest is made
-smooth, and the joints follow it as fast as they may. Where something gets in the way, or another
-target comes, the arm thinks again while it brakes, and goes on from where it would stand.
+A standing arm thinks: it looks for a way to any posture with the tip at the target, a little in
+each tick. The first good one is made smooth, and the joints follow it as fast as they may. The arm
+goes on thinking while it moves: a better rest of the way, from a place that is far enough ahead,
+takes the old one's place. Where something gets in the way, or another target comes, the arm thinks
+again while it brakes, and goes on from where it would stand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
@@ -21,26 +22,28 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Request
+from redundant_planner.core.target.curve_search import CurveSearch, OVERLAP
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal import Goal
-from redundant_planner.core.target.joint_curve import JointCurve, resampled
+from redundant_planner.core.target.joint_curve import JointCurve
 from redundant_planner.core.target.joint_way import JointWay
-from redundant_planner.core.target.path_search import PathSearch
 from redundant_planner.core.target.patience import Patience
 
 Array = npt.NDArray[np.float64]
 
-# Work of a tick, in distances: about 0.7 ms; and what a piece of it costs besides.
-_WORK, _COST_OF_PIECE = 6500, 250
-# How long it looks for a way, at most, and how many attempts are enough [s].
-_LONGEST, _ROUNDS = 1.0, 6
+# What looking at a distance takes, about, and what a tick spends on them at most [s].
+_DISTANCE, _MOST_WORK = 5e-8, 1.2e-3
+# How many attempts at a shorter way are enough, and after this time one, after that any way; after
+# that the tip goes as near as a line takes it [s].
+_ROUNDS, _SOON, _LATE, _LONGEST = 6, 0.028, 0.1, 1.0
 # After this time without a way a tick works a quarter as much [s].
 _DILIGENT = 5.0
-# Distances between control points of the curve, in turn until it is free [rad].
-_SPACINGS = (0.2, 0.1, 0.05, 0.025)
-# Postures of a curve's span that are looked at; those of a way that is followed, to see whether it
-# is still free, and how often [s].
-_LOOKS_PER_SPAN, _LOOKS_AHEAD, _LOOK_PERIOD = 2, 12, 0.1
+# The rest of a way that is improved begins this far ahead of the arm [s], and is at least so many
+# control points long.
+_AHEAD, _FEWEST_POINTS = 0.25, 4
+# Postures of a way that is followed that are looked at, to see whether it is still free, and how
+# often [s].
+_LOOKS_AHEAD, _LOOK_PERIOD = 12, 0.1
 # A search that has found nothing begins anew among other obstacles after this time, then after
 # twice as long each, up to some [s]: what moves elsewhere must not keep it from an end.
 _NEWS_PERIOD, _LONGEST_NEWS_PERIOD = 2.0, 4.0
@@ -48,8 +51,6 @@ _NEWS_PERIOD, _LONGEST_NEWS_PERIOD = 2.0, 4.0
 _PATIENT, _ASIDE = 3.0, 8.0
 # An arm this near to where it comes to rest stands [rad, m].
 _STANDS = 1e-3
-# Share of its room that a way keeps in its corners, and what it may have less than its ends [m].
-_CORNERS, _SLACK = 0.5, 1e-4
 # What a way that is followed may be inside the margin before it counts as blocked [m].
 _INSIDE = 2e-3
 # The arm thinks again if it is this far from its way, or pushed so far while it thinks [rad, m].
@@ -108,7 +109,7 @@ class FreeWay:
 
     def __init__(
         self, robot: Robot, limits: Limits, scaling: Array, full_speed: Array, gain: float, *,
-        gives_way: bool,
+        effort: float, gives_way: bool,
     ) -> None:
         """Prepare for an arm.
 
@@ -118,10 +119,12 @@ class FreeWay:
             scaling: (n,) see `PathJoints`.
             full_speed: highest linear and angular speed of the tip [m/s, rad/s].
             gain: of the feedback to the way [1/s].
+            effort: share of a tick's time that it may think.
             gives_way: whether it steps aside for others where it has no way.
         """
         self._robot, self._limits, self._scaling = robot, limits, scaling
         self._full_speed, self._gain, self._gives_way = full_speed, gain, gives_way
+        self._effort = effort
         self.reset()
 
     def reset(self) -> None:
@@ -129,8 +132,11 @@ class FreeWay:
         self.stretch, self.out_of_reach = Stretch.LINE, False
         self._target: Goal | None = None
         self._way: JointWay | None = None
-        self._thought: Generator[Array | None, None, None] | None = None
-        self._found: Array | None = None  # control points (k, n) of a curve
+        self._finder: CurveSearch | None = None
+        self._points = np.empty((0, self._robot.n))  # control points of the way
+        self._since = 0  # the first of them that the finder knows as its curve's
+        self._rest: int | None = None  # the first of those that shall become better
+        self._improves = False
         self._space: FreeSpace | None = None
         self._age = 0.0  # of the thought [s]
         self.tried_line = False
@@ -165,6 +171,8 @@ class FreeWay:
             self._go_on_thinking(start, space)
         elif self._way is not None and self._way.over:
             self._arrive(start, space)
+        elif self._improves:
+            self._improve(start, space)
         if self.stretch is Stretch.LINE or self._way is None:
             return None
         here, velocity = self._way.velocity(start.dt)
@@ -236,102 +244,115 @@ class FreeWay:
         stop = float(np.abs(start.previous / self._limits.acceleration_max).max())
         rest = np.clip(start.arm.q + 0.5 * stop * start.previous,
                        self._limits.positions[1], self._limits.positions[0])
-        self._follow(np.array((start.arm.q, rest)), _SPACINGS[0], start.previous)
-        self.stretch, self._age, self._rest = Stretch.THINKING, 0.0, rest
-        self._aside = None
+        self._follow(np.linspace(start.arm.q, rest, _FEWEST_POINTS + 1), start.previous)
+        self.stretch, self._age, self._stop = Stretch.THINKING, 0.0, rest
+        self._aside, self._improves = None, False
         self._until_news = _NEWS_PERIOD
         self._begin(space)
 
     def _begin(self, space: FreeSpace) -> None:
         """Begin a search."""
         assert self._target is not None
-        self._space, self._look_age, self._found = space, 0.0, None
-        self._search = PathSearch(
-            space, self._rest, self._target, gives_way=self._gives_way)
-        self._thought = self._thoughts(space)
+        self._space, self._look_age = space, 0.0
+        self._finder = CurveSearch(
+            space, self._stop, self._target, self._scaling, gives_way=self._gives_way)
+
+    def _work(self, dt: float) -> int:
+        """How much a tick may think, in distances."""
+        work = min(self._effort * dt, _MOST_WORK) / _DISTANCE
+        return int(work if self._age < _DILIGENT else 0.25 * work)
 
     def _go_on_thinking(self, start: Start, space: Callable[[], FreeSpace]) -> None:
         """Look for a way a little further; follow it when it has been found."""
-        assert self._thought is not None and self._space is not None and self._way is not None
+        finder = self._finder
+        assert finder is not None and self._way is not None
+        search = finder.search
         self._age += start.dt
         self._look_age += start.dt
-        if self._goes_to_pose and not self.tried_line and self._search.way is None and (
+        if self._goes_to_pose and not self.tried_line and search.way is None and (
                 self._age >= _LONGEST or self.out_of_reach):
             # As near as it gets. To find a line is work enough for a tick.
             self.stretch, self.tried_line = Stretch.LINE, True
             return
-        if self._look_age > self._until_news and self._search.way is None and (
-                space() is not self._space):
+        if self._look_age > self._until_news and search.way is None and (
+                space() is not finder.space):
             self._begin(space())
             self._until_news = min(2.0 * self._until_news, _LONGEST_NEWS_PERIOD)
-        polygon = self._found
-        if polygon is None:
-            until = self._space.spent + (_WORK if self._age < _DILIGENT else _WORK // 4)
-            while self._found is None and self._space.spent < until:
-                self._found = next(self._thought)
-                self._space.spend(_COST_OF_PIECE)
-        else:  # this tick has not worked yet
-            now = space()
-            looked_at = polygon[::max(len(polygon) // _LOOKS_AHEAD, 1)]
-            if now is not self._space and now.nearest_obstacle(looked_at) < -_INSIDE:
-                self._think(start, now)
-                return
-            if np.abs(self._way.posture - polygon[0]).max() > _STANDS:
-                polygon = np.vstack((self._way.posture, polygon))
-            self._follow(polygon, 0.0, start.previous)
-            self.stretch, self.tried_line = Stretch.FOLLOWING, self._search.aside
-            self._aside = 0.0 if self._search.aside else None
             return
-        if self._gives_way and self._age >= _PATIENT and self._search.way is None:
-            self._search.step_aside()
+        polygon = finder.found
+        if polygon is None:
+            finder.think(self._work(start.dt), _ROUNDS if self._age < _SOON else
+                         1 if self._age < _LATE else 0)
+            self.out_of_reach = search.out_of_reach
+        else:  # this tick has not worked yet
+            if self._is_blocked(polygon, space()):
+                self._think(start, space())
+                return
+            self._since = 0
+            if np.abs(self._way.posture - polygon[0]).max() > _STANDS:
+                polygon, self._since = np.vstack((self._way.posture, polygon)), 1
+            self._follow(polygon, start.previous)
+            self.stretch, self.tried_line = Stretch.FOLLOWING, search.aside
+            self._aside = 0.0 if search.aside else None
+            self._improves, self._rest = not search.aside, None
+            return
+        if self._gives_way and self._age >= _PATIENT and search.way is None:
+            search.step_aside()
+
+    def _improve(self, start: Start, space: Callable[[], FreeSpace]) -> None:
+        """Look for a better rest of the way a little further; follow it when it has been found."""
+        finder, way = self._finder, self._way
+        assert finder is not None and way is not None
+        self._age += start.dt
+        if self._rest is None:
+            first = int(way.parameter_in(_AHEAD)) + 2 + OVERLAP
+            first = max(first, self._since + OVERLAP)
+            last = len(self._points) - 1
+            self._improves = (
+                last - first >= _FEWEST_POINTS and finder.search.rounds < 4 * _ROUNDS)
+            if self._improves:
+                finder.improve(self._points[first - OVERLAP:first + 1],
+                               (first - self._since) / (last - self._since))
+                self._rest = first
+        elif way.parameter > self._rest - OVERLAP:
+            self._rest = None  # too late for this one
+        elif finder.found is None:
+            finder.think(self._work(start.dt), _ROUNDS)
+        else:
+            points, self._since = np.vstack((self._points[:self._rest], finder.found)), self._rest
+            better = JointWay(
+                self._robot, self._limits, self._full_speed, JointCurve(points), start.previous,
+                way.parameter)
+            self._rest = None
+            if better.too_fast or self._is_blocked(finder.found, space()):
+                self._improves = False
+            else:
+                self._way, self._points = better, points
+
+    def _is_blocked(self, points: Array, now: FreeSpace) -> bool:
+        """Return whether control points (k, n) that have been found are no longer free."""
+        assert self._finder is not None
+        looked_at = points[::max(len(points) // _LOOKS_AHEAD, 1)]
+        return now is not self._finder.space and now.nearest_obstacle(looked_at) < -_INSIDE
 
     @property
     def in_vain(self) -> bool:
         """Whether it has looked for a way for as long as it may, and found none."""
         return (self.stretch is Stretch.THINKING and self._age >= _LONGEST
-                and self._search.way is None)
+                and self._finder is not None and self._finder.search.way is None)
 
     @property
     def lacks(self) -> str:
         """Why it stands still or goes as near as a line takes it; empty where neither is so."""
         if self._aside is not None:
             return 'it makes way for others'
-        return self._search.lacks if self.tried_line or self.in_vain else ''
+        if self._finder is None or not (self.tried_line or self.in_vain):
+            return ''
+        return self._finder.search.lacks
 
-    def _thoughts(self, space: FreeSpace) -> Generator[Array | None, None, None]:
-        """Yield None while looking for a way, and then the control points (k, n) of a curve."""
-        found = self._search
-        for _ in found.work():
-            self.out_of_reach = found.out_of_reach
-            yield None
-            if found.way is not None and (
-                    found.straight or found.rounds >= _ROUNDS or self._age >= _LONGEST):
-                break
-        assert found.way is not None
-        polygon = np.array([place.q for place in found.way])
-        # The curve cuts corners.
-        least = np.minimum(_CORNERS * space.asked(found.room), np.minimum(
-            found.way[0].room, found.way[-1].room) - _SLACK)
-        for spacing in _SPACINGS:
-            points = resampled(polygon, self._scaling, spacing)
-            if len(polygon) == 2:
-                break
-            curve, free = JointCurve(points), True
-            at = np.linspace(0.0, curve.spans, _LOOKS_PER_SPAN * curve.spans + 1)
-            for first in range(0, len(at), space.at_once):
-                free = free and not (
-                    space.rooms(curve.at(at[first:first + space.at_once])) < least).any()
-                yield None
-                if not free:
-                    break
-            if free:
-                break
-        yield points
-
-    def _follow(self, points: Array, spacing: float, velocity: Array) -> None:
-        """Take a way's control points (k, n), or its corners and their spacing."""
-        if spacing:
-            points = resampled(points, self._scaling, spacing)
+    def _follow(self, points: Array, velocity: Array) -> None:
+        """Take a way's control points (k, n)."""
+        self._points = points
         self._way = JointWay(
             self._robot, self._limits, self._full_speed, JointCurve(points), velocity)
         self._patience, self._look_age = Patience(), 0.0

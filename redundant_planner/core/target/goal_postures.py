@@ -21,7 +21,7 @@ _ASIDE, _ASIDE_SIZE = 10, 0.15
 # A posture is another one than those known if a joint is this far from each of them [rad, m].
 _APART = 0.07
 # What a step to the pose costs, and a posture along the null space, in distances.
-_COST_OF_STEP, _COST_OF_POSTURE = 30, 120
+_COST_OF_STEP, _COST_OF_POSTURE = 60, 250
 # Every other guess is this far from where the arm is, about [rad, m].
 _SPREAD = 0.5
 

@@ -77,9 +77,20 @@ class Pace(NamedTuple):
         steady = float((self.acceleration_max / np.maximum(np.abs(bends), _STILL)).min())
         return max(before + change, min(before, math.sqrt(steady)))
 
-    def times(self) -> Array:
-        """Return when the nodes are passed at the highest pace (N + 1,), from the first on [s]."""
-        f = np.sqrt(self.squared)
+    def times(self, share: float = 1.0) -> Array:
+        """Return when the nodes are passed (N + 1,), from the first on [s].
+
+        That is at the highest pace, up to which the arm gets as fast as its rates q' let it.
+
+        Args:
+            share: f at the first node.
+        """
+        rising = 2.0 * self.step * (self.acceleration_max / np.maximum(
+            np.abs(self.rates[:-1]), _STILL)).min(axis=1)
+        # The nodes that are reached at less: squares there are those before and what is gained.
+        gained = share * share + np.concatenate((np.zeros(1), np.cumsum(rising)))
+        f = np.sqrt(np.minimum(self.squared, gained + np.minimum.accumulate(
+            np.minimum(self.squared - gained, 0.0))))
         mean = np.maximum(0.5 * (f[1:] + f[:-1]), _SLOWEST)
         return np.concatenate((np.zeros(1), np.cumsum(self.step / mean)))
 

@@ -8,7 +8,6 @@ ends. The random numbers are always the same, and so is the result.
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +17,19 @@ from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.goal_postures import goal_postures, only_posture
+from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
+from redundant_planner.core.target.straight_motion import Motion, new_motion
+from redundant_planner.core.target.tree_growth import (
+    grow,
+    GROWING,
+    MET,
+    new_trees,
+    to_root,
+    TOO_LARGE,
+    Trees,
+    USED,
+    way_between,
+)
 
 Array = npt.NDArray[np.float64]
 Way = list[Place]
@@ -38,31 +50,19 @@ _GUESSES, _GOALS = 60, 24
 _GUESSES_OUT_OF_REACH = 300
 # A straight motion to a goal that is further than the nearest by this share is as good.
 _AS_GOOD = 1.05
-# Longest branch that is tried at once [rad, joint weights included]: anywhere, and where the tip
-# stays in a cone.
-_BRANCH, _BRANCH_IN_CONE = 0.8, 0.2
+# Longest branch that is tried at once [rad, joint weights included]: anywhere, where the way may
+# have little room, and where the tip stays in a cone.
+_BRANCH, _BRANCH_IN_GAPS, _BRANCH_IN_CONE = 0.8, 0.5, 0.2
+# Where the way may have little room, every other random posture is about so near to a goal [rad,
+# m]: what is narrow are the places from which a goal is reached.
+_NEAR_GOALS = 0.4
+# Random postures that trees grow towards, drawn at once, and what trees cost, in distances.
+_AIMS, _COST_OF_TREES = 256, 3000
 # Nodes after which both trees are given up: at first, and at last.
 _FEWEST_NODES, _MOST_NODES = 500, 4000
 # Attempts at a shortcut and how many in vain end them, of any way and of one that may become the
 # best: one that costs less than this factor of it by then.
 _ROUGHLY, _THOROUGHLY, _PROMISES = (60, 20), (300, 60), 1.1
-# A shortcut must save this share of the way, and the least one about a corner takes this power of
-# a half of it.
-_LEAST_GAIN, _FINEST_CUT = 1e-3, 5.0
-
-
-class _Cut(Enum):
-    """What a shortcut leads to, in the order in which they are tried."""
-
-    TO_GOAL = 0
-    FROM_START = 1
-    TO_END = 2
-    CORNER = 3
-
-
-_CUTS = tuple(_Cut)
-
-
 class PathSearch:
     """A search that goes on for ever, one attempt after the other.
 
@@ -89,7 +89,7 @@ class PathSearch:
         self.way: Way | None = None
         self.room = self._price = np.inf
         self.straight, self.rounds, self.out_of_reach, self.aside = False, 0, False, False
-        self._tree: _Tree | None = None  # the latest one that begins at the start
+        self._trees: Trees | None = None  # the latest, of which the first begins at the start
         self._space, self._start, self._gives_way = space, space.begin_at(start), gives_way
         self._goals: list[Place] = []
         self._tightest: Array | None = None  # room (k,) of the goal that is nearly free
@@ -99,17 +99,22 @@ class PathSearch:
             only_posture(space, start, target))
         self._guesses, self._reached = 0, False
         self._ranges = space.joint_ranges(start)
+        self._memory: Motion | None = None
+        self._blocked: set[tuple[float, int]] = set()  # straight motions to goals, by room
 
     def work(self) -> Generator[None, None, None]:
         """Search, and pause after each piece of work."""
         attempt = 0
+        if self.way is not None:
+            yield from self._shortened(self.way, self.room, *_THOROUGHLY)
+            self.rounds += 1
         while True:
             yield from self._guess()
             room = _ROOMS[attempt % len(_ROOMS)]
             most_nodes = min(_FEWEST_NODES * (1 + attempt), _MOST_NODES)
             attempt += 1
             if not self._goals or (self._start.room < -_INSIDE).any():
-                yield from self._explored()
+                yield from self._explore()
                 continue
             way = yield from self._connected(room, most_nodes)
             if way is not None:
@@ -117,6 +122,23 @@ class PathSearch:
                 if self._price_of(way, room) < _PROMISES * self._price:
                     yield from self._shortened(way, room, *_THOROUGHLY)
             self.rounds += self.way is not None
+
+    @property
+    def price(self) -> float:
+        """What the way costs: its length, if nothing else counts; infinite where there is none."""
+        return self._price
+
+    def go_on_from(self, rest: Array) -> None:
+        """Search from another start, where postures (k, n) are a way that is known.
+
+        They end at a goal. `work` begins anew.
+        """
+        self._start = self._space.begin_at(rest[0])
+        self._blocked.clear()
+        last = min(self._goals, key=lambda goal: float(np.abs(goal.q - rest[-1]).max()))
+        self.way = [self._start, *map(self._space.place, rest[1:-1]), last]
+        self.straight = False
+        self._price = self._price_of(self.way, self.room)
 
     @property
     def lacks(self) -> str:
@@ -131,13 +153,15 @@ class PathSearch:
 
     def step_aside(self) -> None:
         """Have the way lead to where obstacles are furthest, as far as that is known."""
-        if self._tree is None:
+        if self._trees is None:
             return
-        postures, space = np.array([place.q for place in self._tree.places]), self._space
+        postures, space = self._trees.postures[0, :self._trees.numbers[0]], self._space
         best = int(np.argmax(
             space.away(postures) - _PRICE_OF_ASIDE * space.distance(self._start.q, postures)))
         if best > 0:
-            self.way, self.room, self.aside = self._tree.to_root(best)[::-1], _ROOMS[-1], True
+            nodes = to_root(self._trees, 0, best)[::-1]
+            self.way = _places(postures[nodes], self._trees.rooms[0, nodes])
+            self.room, self.aside = _ROOMS[-1], True
 
     def length(self, way: Way) -> float:
         """Return how long a way is, joint weights included [rad]."""
@@ -164,16 +188,15 @@ class PathSearch:
             self._reached = self._reached or bool(found)
         self.out_of_reach = not self._reached and self._guesses >= _GUESSES_OUT_OF_REACH
 
-    def _explored(self) -> Generator[None, None, None]:
+    def _explore(self) -> Generator[None, None, None]:
         """Look around where there is no goal yet, if the arm gives way."""
         yield
         if not self._gives_way:
             return
-        if self._tree is None:
-            self._tree = _Tree(self._space, [self._start])
-        for _ in range(_LOOKS_AROUND if len(self._tree.places) < _FEWEST_NODES else 0):
-            yield from self._tree.grow(
-                self._random.uniform(*self._ranges), self._space.asked(_ROOMS[-1]))
+        if self._trees is None:
+            start = _stacked([self._start])
+            self._trees = new_trees(_FEWEST_NODES, start, (start[0][:0], start[1][:0]))
+        yield from self._grow(self._trees, _LOOKS_AROUND, _ROOMS[-1])
 
     def _price_of(self, way: Way, room: float) -> float:
         """Return what a way with some room costs: its length, if nothing else counts."""
@@ -198,27 +221,46 @@ class PathSearch:
         """Return a way with some room to any goal, None where the trees have grown too large."""
         space, start, goals = self._space, self._start, self._goals
         needed = space.asked(room)
-        for goal in sorted(goals, key=lambda goal: float(space.distance(start.q, goal.q))):
+        for i in np.argsort([float(space.distance(start.q, goal.q)) for goal in goals]):
+            if (room, int(i)) in self._blocked:
+                continue
             yield
-            if (yield from space.is_free_between(start, goal, needed)):
-                return [start, goal]
-        trees = _Tree(space, [start]), _Tree(space, goals)
-        self._tree = trees[0]
-        forward = True
-        while len(trees[0].places) + len(trees[1].places) < most_nodes:
-            growing, other = trees if forward else trees[::-1]
-            grown = yield from growing.grow(
-                self._random.uniform(*self._ranges), needed)
-            while grown is not None:
-                goal = growing.places[grown]
-                met = yield from other.grow(goal.q, needed)
-                if met is None:
-                    break
-                if other.places[met].q is goal.q:
-                    way = growing.to_root(grown)[::-1] + other.to_root(met)[1:]
-                    return way if forward else way[::-1]
-            forward = not forward
-        return None
+            if (yield from space.is_free_between(start, goals[i], needed)):
+                return [start, goals[i]]
+            self._blocked.add((room, int(i)))
+        self._trees = new_trees(most_nodes, _stacked([start]), _stacked(goals))
+        space.spend(_COST_OF_TREES)
+        yield
+        met = False
+        while not met:
+            ended = yield from self._grow(self._trees, _AIMS, room)
+            if ended == TOO_LARGE:
+                return None
+            met = ended == MET
+        return _places(*way_between(self._trees))
+
+    def _grow(self, trees: Trees, aims: int, room: float) -> Generator[None, None, int]:
+        """Grow trees towards so many random postures with some room; return how that ended."""
+        space, (low, high) = self._space, self._ranges
+        towards = self._random.uniform(low, high, (aims, len(low)))
+        in_gaps = room != _ROOMS[0]
+        if self._goals and in_gaps:
+            near = self._random.integers(len(self._goals), size=len(towards[::2]))
+            towards[::2] = np.clip(self._random.normal(
+                np.array([self._goals[i].q for i in near]), _NEAR_GOALS), low, high)
+        trees.numbers[USED] = 0
+        motion, needed = self._motion(), space.asked(room)
+        longest = (_BRANCH_IN_CONE if space.narrow else
+                   _BRANCH_IN_GAPS if in_gaps else _BRANCH)
+        while True:
+            ended, looked = grow(
+                trees, motion, towards, needed, space.joints.scaling, longest,
+                space.joints.position_min, space.joints.position_max, space.reach,
+                trees.postures.shape[1], space.at_once, space.robot.chain, space.around)
+            space.spend(looked * space.cost)
+            if ended != GROWING:
+                return ended
+            yield
 
     def _shortened(
         self, way: Way, room: float, attempts: int, most_in_vain: int,
@@ -228,106 +270,36 @@ class PathSearch:
         They lead to another goal, from the start, to the end, or around a corner, however near.
         """
         self._note(way, room)
-        needed, in_vain, along = self._space.asked(room), 0, self._along(way)
-        for attempt in range(attempts):
-            if in_vain > most_in_vain or (
-                    len(way) == 2 and attempt > len(_CUTS) * len(self._goals)):
-                break
-            in_vain += 1
-            shorter = yield from self._cut(way, along, _CUTS[attempt % len(_CUTS)], needed)
-            if shorter is not None:
-                way, along, in_vain = shorter, self._along(shorter), 0
-                self._note(way, room)
+        space, goals = self._space, _stacked(self._goals)
+        motion, needed = self._motion(), space.asked(room)
+        work = new_shortening(*_stacked(way), space.joints.scaling)
+        random, over = self._random.random((attempts, NUMBERS)), False
+        while not over:
+            over, looked = shorten(
+                work, motion, *goals, random, needed, space.joints.scaling, space.reach,
+                most_in_vain, space.at_once, space.robot.chain, space.around)
+            space.spend(looked * space.cost)
             yield
-        return way
+        count = work.numbers[COUNT]
+        shorter = _places(work.postures[:count], work.rooms[:count])
+        self._note(shorter, room)
+        return shorter
 
-    def _cut(
-        self, way: Way, along: Array, cut: _Cut, needed: Array,
-    ) -> Generator[None, None, Way | None]:
-        """Return a way after a random shortcut; None if this one saves nothing or is not free.
-
-        Args:
-            way: as it is.
-            along: its length up to each of its places.
-            cut: what the shortcut leads to.
-            needed: (k,) the room that it shall have.
-        """
-        random, space, whole = self._random, self._space, float(along[-1])
-        begin, end = sorted(random.uniform(0.0, whole, 2).tolist())
-        if cut is _Cut.CORNER:
-            corner = float(along[int(random.integers(len(way)))])
-            size = whole * 2.0 ** -random.uniform(0.0, _FINEST_CUT)
-            begin, end = max(corner - size * random.uniform(), 0.0), min(
-                corner + size * random.uniform(), whole)
-        begin, end = (0.0 if cut is _Cut.FROM_START else begin,
-                      whole if cut in (_Cut.TO_GOAL, _Cut.TO_END) else end)
-        goal = (self._goals[int(random.integers(len(self._goals)))] if cut is _Cut.TO_GOAL else
-                way[-1])
-        before, from_q = self._point(way, along, begin)
-        after, to_q = self._point(way, along, end)
-        to_q = goal.q if end == whole else to_q
-        saved = (end - begin) - float(space.distance(from_q, to_q))
-        if saved < _LEAST_GAIN * whole:
-            return None
-        one = way[0] if begin == 0.0 else space.place(from_q)
-        other = goal if end == whole else space.place(to_q)
-        # The ends of the way may have less room.
-        roomy = (begin == 0.0 or (one.room >= needed).all()) and (
-            end == whole or (other.room >= needed).all())
-        if not roomy or not (yield from space.is_free_between(one, other, needed)):
-            return None
-        return [*(way[:before + 1] if begin > 0.0 else ()), one, other,
-                *(way[after + 1:] if end < whole else ())]
-
-    @staticmethod
-    def _point(way: Way, along: Array, at: float) -> tuple[int, Array]:
-        """Return the posture (n,) at a length of a way, and the number of the node before it."""
-        i = min(int(np.searchsorted(along, at, side='right')) - 1, len(way) - 2)
-        share = (at - along[i]) / max(along[i + 1] - along[i], np.finfo(float).tiny)
-        return i, way[i].q + share * (way[i + 1].q - way[i].q)
+    def _motion(self) -> Motion:
+        """Return memory for a motion between any two postures of the search."""
+        if self._memory is None:
+            ends = np.array([self._start.q, *self._ranges, *(goal.q for goal in self._goals)])
+            self._memory = new_motion(
+                len(self._start.q), len(self._start.room),
+                float((ends.max(axis=0) - ends.min(axis=0)).max(initial=0.0)))
+        return self._memory
 
 
-class _Tree:
-    """Places, each with the one that it grew from."""
+def _stacked(places: Sequence[Place]) -> tuple[Array, Array]:
+    """Return the postures (k, n) of places, and their rooms (k, …)."""
+    return np.array([place.q for place in places]), np.array([place.room for place in places])
 
-    def __init__(self, space: FreeSpace, roots: Sequence[Place]) -> None:
-        self._space, self.places = space, list(roots)
-        self._parents = [-1] * len(roots)
-        self._postures = np.empty((64 + len(roots), len(roots[0].q)))
-        for i, root in enumerate(roots):
-            self._postures[i] = root.q
 
-    def grow(self, target: Array, needed: Array) -> Generator[None, None, int | None]:
-        """Grow one branch with room (k,) towards a posture (n,); return the new place's number."""
-        space = self._space
-        at = int(space.distance(self._postures[:len(self.places)], target).argmin())
-        root = self.places[at]
-        size, longest = float(space.distance(root.q, target)), (
-            _BRANCH_IN_CONE if space.narrow else _BRANCH)
-        q = target
-        if size > longest:
-            q = space.into_cone(root.q + longest / size * (target - root.q))
-        place = space.place(q)
-        yield
-        if (place.room < needed).any() or not (
-                yield from space.is_free_between(root, place, needed)):
-            return None
-        return self._add(place, at)
-
-    def to_root(self, index: int) -> Way:
-        """Return the places from one back to its root."""
-        found = []
-        while index >= 0:
-            found.append(self.places[index])
-            index = self._parents[index]
-        return found
-
-    def _add(self, place: Place, parent: int) -> int:
-        """Add a place and return its number."""
-        index = len(self.places)
-        if index == len(self._postures):
-            self._postures = np.vstack((self._postures, np.empty_like(self._postures)))
-        self._postures[index] = place.q
-        self.places.append(place)
-        self._parents.append(parent)
-        return index
+def _places(postures: Array, rooms: Array) -> Way:
+    """Return places with postures (k, n) and rooms (k, …)."""
+    return [Place(q.copy(), room.copy()) for q, room in zip(postures, rooms)]

@@ -66,14 +66,16 @@ class Way:
         """
         self._robot, self._constants = robot, constants
         self._joints = path_joints(constants, gains, limits)
-        full_speed = np.maximum(
+        full_speed = np.maximum(parameters.twist_speeds, SLOWEST)
+        # Of the tip where the joints have a way of their own: only as far as the user limits it.
+        joints_speed = np.maximum(
             (parameters.limits_linear_speed, parameters.limits_angular_speed), SLOWEST)
         self._line = StraightWay(
             robot, limits, self._joints, full_speed, parameters.target_lag)
         self._stream = JointStream(limits, robot.position_max, parameters.target_lag)
         self._free = FreeWay(
-            robot, limits, constants.scaling, full_speed, parameters.feedback_gain,
-            gives_way=parameters.target_gives_way)
+            robot, limits, constants.scaling, joints_speed, parameters.feedback_gain,
+            effort=parameters.target_effort, gives_way=parameters.target_gives_way)
         self._chunks = ChunkFollower(
             robot, limits, self._joints, full_speed, parameters.feedback_gain)
         self._straight = parameters.target_path == 'straight'

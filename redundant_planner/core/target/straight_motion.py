@@ -1,0 +1,293 @@
+"""How much room links have at a posture, and whether a straight motion of the joints is free.
+
+No point of a link moves further in a motion Δq than Σ_j b_j |Δq_j|, with the lever arm bounds b.
+A motion is therefore free where every link has, at both ends together, more room than that.
+Otherwise the posture half way is looked at, and so on (Schwarzer, Saha and Latombe 2005).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.kernels import (
+    entry,
+    IndexPairs,
+    Indices,
+    kernel,
+    Matrix,
+    OutMatrix,
+    OutVector,
+    Stack,
+    Vector,
+)
+from redundant_planner.core.obstacles.clearance import (
+    bound_by_balls,
+    is_contact,
+    measure_unless,
+    Pairs,
+)
+from redundant_planner.core.obstacles.inflation import InflatedObstacles
+from redundant_planner.core.obstacles.self_collision import write_link_distances
+from redundant_planner.core.obstacles.shapes import ELLIPSOID
+from redundant_planner.core.robot.cone import Cone
+from redundant_planner.core.robot.kinematics import (
+    Chain,
+    fill,
+    JointPlaces,
+    Kinematics,
+    new_kinematics_compiled,
+    new_places,
+)
+
+Array = npt.NDArray[np.float64]
+
+# What has more room than this need not be measured exactly [m].
+_AMPLE = 0.3
+# Pieces of a motion shorter than this are not halved any more, and one that is longer than a
+# hundred turns counts as blocked, as nobody has the memory to look at it [rad, m].
+_FINEST, _LONGEST = 0.02, 630.0
+# What is known of a motion: that it is looked at, that it is free, or that it is not.
+PENDING, FREE, BLOCKED = range(3)
+
+
+class Around(NamedTuple):
+    """What keeps links from being anywhere.
+
+    Attributes:
+        obstacles: for links with their margin.
+        radii: (c,) with half the margin between links [m].
+        links: (p, 2) which of them can collide.
+        cone: that the tip stays in.
+        in_cone: whether it has to.
+        forgiven: (k,) what is added to the room, infinite for links that cannot move.
+    """
+
+    obstacles: InflatedObstacles
+    radii: Vector
+    links: IndexPairs
+    cone: Cone
+    in_cone: bool
+    forgiven: Vector
+
+
+class Motion(NamedTuple):
+    """A straight motion that is halved until it is known to be free.
+
+    Attributes:
+        start: (n,) where it begins [rad, m].
+        step: (n,) the way to its end.
+        far: (k,) how far links may come on it [m].
+        least: (k,) room that it has to have.
+        at: (s,) shares of the motion that have been looked at; its ends come first.
+        rooms: (s, k) there.
+        pieces: (t, 2) which of them are ends of a piece, in the order in which they are halved.
+        counts: (3,) how many have been looked at, have been halved, and there are.
+    """
+
+    start: OutVector
+    step: OutVector
+    far: OutVector
+    least: OutVector
+    at: OutVector
+    rooms: OutMatrix
+    pieces: IndexPairs
+    counts: Indices
+
+
+def new_motion(n: int, rooms: int, longest: float) -> Motion:
+    """Return room for motions of n joints whose joints move no further than the longest does.
+
+    Args:
+        n: joints.
+        rooms: how many entries room has.
+        longest: [rad, m]; further than a hundred turns is no further.
+    """
+    # A little more than there are, whatever round-off does.
+    pieces = 2 ** math.ceil(math.log2(max(1.001 * min(longest, _LONGEST) / _FINEST, 1.0)))
+    return Motion(
+        np.empty(n), np.empty(n), np.empty(rooms), np.empty(rooms), np.empty(pieces + 2),
+        np.empty((pieces + 2, rooms)), np.empty((2 * pieces + 1, 2), dtype=np.intp),
+        np.zeros(3, dtype=np.intp))
+
+
+class Scratch(NamedTuple):
+    """Room for the numbers of one posture.
+
+    Attributes:
+        enough: (k,) room that need not be measured any further.
+    """
+
+    arm: Kinematics
+    places: JointPlaces
+    pairs: Pairs
+    points: Stack
+    enough: Vector
+
+
+@kernel
+def new_scratch(q: Vector, chain: Chain, around: Around) -> Scratch:
+    """Return arrays for `write_room`."""
+    shape = around.obstacles.smallest.shape
+    return Scratch(
+        new_kinematics_compiled(q, len(chain.rows), len(chain.capsule_joint)), new_places(len(q)),
+        Pairs(np.empty(shape), np.empty(shape), np.empty(shape)),
+        np.empty((len(around.links), 2, 3)), np.full(len(around.forgiven), _AMPLE))
+
+
+@kernel
+def write_room(chain: Chain, around: Around, scratch: Scratch, room: OutVector) -> None:
+    """Write the room (k,) at the posture that is in the scratch's arm.
+
+    What has more room to obstacles than `scratch.enough` may be given a bound from below.
+    """
+    arm, pairs, obstacles, enough = scratch.arm, scratch.pairs, around.obstacles, scratch.enough
+    fill(chain, scratch.places, arm)
+    links = len(chain.capsule_joint)
+    room[:] = np.inf
+    bound_by_balls(obstacles, arm.segment_start, arm.segment_end, 0.0, pairs.distance)
+    farthest = 0.0
+    for link in range(links):
+        farthest = max(farthest, enough[link])
+        for obstacle in range(pairs.distance.shape[1]):
+            bound = pairs.distance[link, obstacle]
+            if obstacles.shapes[obstacle] != ELLIPSOID and bound > enough[link]:
+                if not is_contact(obstacles, link, obstacle):
+                    room[link] = min(room[link], bound)
+                pairs.distance[link, obstacle] = np.inf
+    measure_unless(obstacles, arm.segment_start, arm.segment_end, 0.0, farthest, pairs)
+    for link in range(links):
+        for obstacle in range(pairs.distance.shape[1]):
+            if not is_contact(obstacles, link, obstacle):
+                room[link] = min(room[link], pairs.distance[link, obstacle])
+    ends = links + len(around.links)
+    write_link_distances(arm.segment_start, arm.segment_end, around.radii, around.links,
+                         room[links:ends], scratch.points)
+    if around.in_cone:
+        cosine = 0.0
+        for i in range(3):
+            for j in range(3):
+                cosine += around.cone.direction[i] * arm.tip_rotation[i, j] * around.cone.axis[j]
+        room[ends] = around.cone.angle - math.acos(min(max(cosine, -1.0), 1.0))
+    for i in range(len(room)):
+        room[i] += around.forgiven[i]
+
+
+@entry
+def rooms_at(postures: Matrix, chain: Chain, around: Around) -> Matrix:
+    """Return the room (N, k) of links at N postures (N, n).
+
+    Args:
+        postures: where the joints are.
+        chain: the arm.
+        around: what is in its way.
+    """
+    rooms = np.empty((len(postures), len(around.forgiven)))
+    scratch = new_scratch(np.empty(postures.shape[1]), chain, around)
+    for i in range(len(postures)):
+        scratch.arm.q[:] = postures[i]
+        write_room(chain, around, scratch, rooms[i])
+    return rooms
+
+
+@kernel
+def begin_motion(
+    motion: Motion, start: Vector, room: Vector, end: Vector, end_room: Vector, needed: Vector,
+    reach: Matrix,
+) -> bool:
+    """Begin to look at a motion; return whether there is memory for one as long.
+
+    Args:
+        motion: which is filled.
+        start, end: (n,) its ends.
+        room, end_room: (k,) there.
+        needed: (k,) room; where an end has less, the motion may have as little [m].
+        reach: (k, n) how far a point may come for each rad or m of a joint.
+    """
+    size = 0.0
+    for j in range(len(start)):
+        motion.start[j], motion.step[j] = start[j], end[j] - start[j]
+        size = max(size, abs(motion.step[j]))
+    if not size <= _FINEST * (len(motion.at) - 2):
+        return False
+    for k in range(len(needed)):
+        motion.least[k] = min(needed[k], min(room[k], end_room[k]))
+        motion.far[k] = 0.0
+        for j in range(len(start)):
+            motion.far[k] += reach[k, j] * abs(motion.step[j])
+    motion.at[0], motion.at[1] = 0.0, 1.0
+    motion.rooms[0], motion.rooms[1] = room, end_room
+    motion.pieces[0, 0], motion.pieces[0, 1] = 0, 1
+    motion.counts[0], motion.counts[1], motion.counts[2] = 2, 0, 1
+    return True
+
+
+@kernel
+def go_on_with(
+    motion: Motion, most: int, chain: Chain, around: Around, scratch: Scratch,
+) -> int:
+    """Go on halving a motion; return whether it is free, blocked, or still looked at.
+
+    Args:
+        motion: which is changed.
+        most: how many postures are looked at.
+        chain, around: the arm, and what is in its way.
+        scratch: for numbers.
+    """
+    at, rooms, pieces, counts = motion.at, motion.rooms, motion.pieces, motion.counts
+    size, end = 0.0, counts[0] + most
+    for j in range(len(motion.step)):
+        size = max(size, abs(motion.step[j]))
+    while counts[1] < counts[2]:
+        one, other = pieces[counts[1]]
+        span = at[other] - at[one]
+        narrow = False
+        for k in range(len(motion.far)):
+            narrow = narrow or span * motion.far[k] > rooms[one, k] + rooms[other, k]
+        if narrow and span * size > _FINEST:
+            middle = counts[0]
+            if middle == end:
+                return PENDING
+            at[middle] = 0.5 * (at[one] + at[other])
+            for j in range(len(motion.step)):
+                scratch.arm.q[j] = motion.start[j] + at[middle] * motion.step[j]
+            for k in range(len(motion.far)):
+                # More than that keeps either half free, and so much is known.
+                half = 0.5 * span * motion.far[k]
+                known = max(rooms[one, k], rooms[other, k]) - half
+                scratch.enough[k] = max(half, motion.least[k]) - around.forgiven[k]
+                if known >= motion.least[k] and 2.0 * half <= rooms[one, k] + rooms[other, k]:
+                    scratch.enough[k] = -np.inf
+            write_room(chain, around, scratch, rooms[middle])
+            scratch.enough[:] = _AMPLE
+            counts[0] = middle + 1
+            for k in range(len(motion.far)):
+                half = 0.5 * span * motion.far[k]
+                rooms[middle, k] = max(
+                    rooms[middle, k], max(rooms[one, k], rooms[other, k]) - half)
+                if rooms[middle, k] < motion.least[k]:
+                    return BLOCKED
+            last = counts[2]
+            pieces[last, 0], pieces[last, 1] = one, middle
+            pieces[last + 1, 0], pieces[last + 1, 1] = middle, other
+            counts[2] = last + 2
+        counts[1] += 1
+    return FREE
+
+
+@entry
+def begin_looking(
+    motion: Motion, start: Vector, room: Vector, end: Vector, end_room: Vector, needed: Vector,
+    reach: Matrix,
+) -> bool:
+    """Begin to look at a motion, see `begin_motion`."""
+    return begin_motion(motion, start, room, end, end_room, needed, reach)
+
+
+@entry
+def go_on_looking(motion: Motion, most: int, chain: Chain, around: Around) -> int:
+    """Go on looking at a motion, see `go_on_with`."""
+    return go_on_with(motion, most, chain, around, new_scratch(motion.start, chain, around))

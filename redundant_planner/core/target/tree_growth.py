@@ -1,0 +1,246 @@
+"""Two trees of postures that grow towards random ones and each other (RRT-Connect).
+
+Kuffner and LaValle 2000.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.kernels import (
+    entry,
+    IndexPairs,
+    Indices,
+    kernel,
+    Matrix,
+    OutStack,
+    OutVector,
+    Vector,
+)
+from redundant_planner.core.robot.cone import cone_room
+from redundant_planner.core.robot.kinematics import Chain, fill
+from redundant_planner.core.target.straight_motion import (
+    Around,
+    begin_motion,
+    BLOCKED,
+    FREE,
+    go_on_with,
+    Motion,
+    new_scratch,
+    PENDING,
+    Scratch,
+    write_room,
+)
+
+Array = npt.NDArray[np.float64]
+
+# The shortest branches, as a share of the longest.
+_SHORTEST = 1.0
+# Looking for the nearest of so many postures costs as much as looking at one.
+_NEAREST_AT_ONCE = 300
+# Steps that lead a posture into the tip's cone, to this share of its angle inside.
+_STEPS_INTO_CONE, _ROOM_IN_CONE = 6, 0.1
+_TINY = 1e-12
+# How a piece of work ended: it goes on, the trees have met, more random postures are wanted, or
+# the trees have become too large.
+GROWING, MET, WANTING, TOO_LARGE = range(4)
+# The entries of `Trees.numbers`: postures of either tree, which tree grows, whether it grows
+# towards the other one's new posture, that posture, the root of the branch, whether the branch
+# ends at what it leads to, how many random postures have been used, and whether a branch is
+# looked at.
+(_COUNT, _OTHER_COUNT, _TREE, _CONNECTS, _AIM, _ROOT, _ARRIVES, USED, _LOOKS) = range(9)
+
+
+class Trees(NamedTuple):
+    """Two trees: the first one from the start, the other from all goals, if there are any.
+
+    Attributes:
+        postures: (2, M, n) [rad, m].
+        rooms: (2, M, k) there.
+        parents: (2, M) which posture each grew from, −1 for roots.
+        numbers: (9,) see above.
+        branch: (n,) where a branch ends that is looked at.
+        room: (k,) there.
+    """
+
+    postures: OutStack
+    rooms: OutStack
+    parents: IndexPairs
+    numbers: Indices
+    branch: OutVector
+    room: OutVector
+
+
+def new_trees(most: int, starts: tuple[Array, Array], goals: tuple[Array, Array]) -> Trees:
+    """Return trees that have roots only.
+
+    Args:
+        most: postures of a tree.
+        starts, goals: postures (r, n) and their room (r, k); of goals, r may be 0.
+    """
+    n, k = starts[0].shape[1], starts[1].shape[1]
+    trees = Trees(
+        np.empty((2, most, n)), np.empty((2, most, k)), np.full((2, most), -1, dtype=np.intp),
+        np.zeros(9, dtype=np.intp), np.empty(n), np.empty(k))
+    for tree, (postures, rooms) in enumerate((starts, goals)):
+        trees.postures[tree, :len(postures)] = postures
+        trees.rooms[tree, :len(postures)] = rooms
+        trees.numbers[tree] = len(postures)
+    return trees
+
+
+def way_between(trees: Trees) -> tuple[Array, Array]:
+    """Return postures (w, n) and rooms (w, k) from start to goal where the trees have met."""
+    numbers = trees.numbers
+    tree, count = numbers[_TREE], (numbers[_COUNT], numbers[_OTHER_COUNT])
+    ends = {int(tree): int(numbers[_AIM]), 1 - int(tree): int(count[1 - tree]) - 1}
+    forth, back = to_root(trees, 0, ends[0])[::-1], to_root(trees, 1, ends[1])[1:]
+    return (np.concatenate((trees.postures[0, forth], trees.postures[1, back])),
+            np.concatenate((trees.rooms[0, forth], trees.rooms[1, back])))
+
+
+def to_root(trees: Trees, tree: int, index: int) -> list[int]:
+    """Return the numbers of the postures from one back to its root."""
+    found = []
+    while index >= 0:
+        found.append(index)
+        index = int(trees.parents[tree, index])
+    return found
+
+
+@kernel
+def _into_cone(
+    chain: Chain, around: Around, scratch: Scratch, low: Vector, high: Vector, q: OutVector,
+) -> None:
+    """Lead a posture (n,) into the tip's cone, or nearer to that."""
+    for _ in range(_STEPS_INTO_CONE):
+        scratch.arm.q[:] = q
+        fill(chain, scratch.places, scratch.arm)
+        room, gradient = cone_room(around.cone, scratch.arm.tip_rotation,
+                                   scratch.arm.joint_screws)
+        if room > _ROOM_IN_CONE * around.cone.angle:
+            return
+        missing = 2.0 * _ROOM_IN_CONE * around.cone.angle - room
+        squared = _TINY
+        for j in range(len(q)):
+            squared = squared + gradient[j] * gradient[j]
+        for j in range(len(q)):
+            q[j] = min(max(q[j] + missing / squared * gradient[j], low[j]), high[j])
+
+
+@kernel
+def _nearest(trees: Trees, tree: int, aim: Vector, scaling: Vector) -> tuple[int, float]:
+    """Return the number of a tree's posture that is nearest to another one (n,), and how near."""
+    best, least = 0, np.inf
+    for i in range(trees.numbers[tree]):
+        squared = 0.0
+        for j in range(len(aim)):
+            apart = (aim[j] - trees.postures[tree, i, j]) / scaling[j]
+            squared = squared + apart * apart
+        if squared < least:
+            best, least = i, squared
+    return best, math.sqrt(least)
+
+
+@kernel
+def _begin_branch(
+    trees: Trees, tree: int, aim: Vector, motion: Motion, needed: Vector, scaling: Vector,
+    longest: float, low: Vector, high: Vector, reach: Matrix, chain: Chain, around: Around,
+    scratch: Scratch,
+) -> bool:
+    """Begin to look at a branch towards a posture (n,); return whether it may be free."""
+    numbers = trees.numbers
+    root, size = _nearest(trees, tree, aim, scaling)
+    numbers[_ROOT], numbers[_ARRIVES] = root, 1 if size <= longest else 0
+    share = 1.0 if size <= longest else longest / size
+    for j in range(len(aim)):
+        near = trees.postures[tree, root, j]
+        trees.branch[j] = aim[j] if share == 1.0 else near + share * (aim[j] - near)
+    if share < 1.0 and around.in_cone:
+        _into_cone(chain, around, scratch, low, high, trees.branch)
+    scratch.arm.q[:] = trees.branch
+    write_room(chain, around, scratch, trees.room)
+    for k in range(len(needed)):
+        if trees.room[k] < needed[k]:
+            return False
+    return begin_motion(motion, trees.postures[tree, root], trees.rooms[tree, root],
+                        trees.branch, trees.room, needed, reach)
+
+
+@kernel
+def _add_branch(trees: Trees, tree: int) -> None:
+    """Add the branch that is free to a tree."""
+    numbers, at = trees.numbers, trees.numbers[tree]
+    trees.postures[tree, at], trees.rooms[tree, at] = trees.branch, trees.room
+    trees.parents[tree, at] = numbers[_ROOT]
+    numbers[tree] = at + 1
+
+
+@entry
+def grow(
+    trees: Trees, motion: Motion, aims: Matrix, needed: Vector, scaling: Vector, longest: float,
+    low: Vector, high: Vector, reach: Matrix, most_nodes: int, most: int, chain: Chain,
+    around: Around,
+) -> tuple[int, int]:
+    """Grow trees a little further; return how it ended, and how many postures were looked at.
+
+    Args:
+        trees: which grow.
+        motion: the branch that is looked at.
+        aims: (r, n) random postures.
+        needed: (k,) room.
+        scaling: (n,) of the joints' lengths, see `PathJoints`.
+        longest: of a branch [rad].
+        low, high: (n,) of the joints [rad, m].
+        reach: (k, n) see `begin_motion`.
+        most_nodes: of both trees together.
+        most: how many postures may be looked at, about.
+        chain, around: the arm, and what is in its way.
+    """
+    numbers, scratch, looked = trees.numbers, new_scratch(trees.branch, chain, around), 0
+    room_for = min(most_nodes, trees.postures.shape[1] - 1)
+    while looked < most:
+        tree = 1 - numbers[_TREE] if numbers[_CONNECTS] == 1 else numbers[_TREE]
+        state = BLOCKED
+        if numbers[_LOOKS] == 1:
+            before = motion.counts[0]
+            state = go_on_with(motion, most - looked, chain, around, scratch)
+            looked += motion.counts[0] - before
+            if state == PENDING:
+                break
+            numbers[_LOOKS] = 0
+        else:
+            if numbers[_CONNECTS] == 0:
+                if numbers[_COUNT] + numbers[_OTHER_COUNT] >= room_for:
+                    return TOO_LARGE, looked
+                if numbers[USED] == len(aims):
+                    return WANTING, looked
+            looked += 1 + numbers[tree] // _NEAREST_AT_ONCE
+            if numbers[_CONNECTS] == 1:
+                aim = trees.postures[numbers[_TREE], numbers[_AIM]]
+            else:
+                aim = aims[numbers[USED]]
+                numbers[USED] += 1
+            if _begin_branch(trees, tree, aim, motion, needed, scaling, longest, low, high,
+                             reach, chain, around, scratch):
+                numbers[_LOOKS] = 1
+                continue
+        free = state == FREE
+        if free:
+            _add_branch(trees, tree)
+        alone = numbers[_OTHER_COUNT] == 0
+        if numbers[_CONNECTS] == 1:
+            if free and numbers[_ARRIVES] == 1:
+                return MET, looked
+            if not free or numbers[tree] >= room_for:
+                numbers[_CONNECTS], numbers[_TREE] = 0, 1 - numbers[_TREE]
+        elif not alone:
+            if free:
+                numbers[_CONNECTS], numbers[_AIM] = 1, numbers[tree] - 1
+            else:
+                numbers[_TREE] = 1 - numbers[_TREE]
+    return GROWING, looked

@@ -1,0 +1,185 @@
+"""Trees, shortcuts, ways in motion: what the compiled parts of the search promise."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from conftest import examples, make_panda, PANDA_READY
+from hypothesis import assume, given, settings, strategies as st
+import numpy as np
+import pytest
+from target_run import DT, PANDA as ROBOT, Run, tip
+from test_free_space import crowd, space_among
+
+from redundant_planner.core.constants import limits_of
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.target.free_way import Stretch
+from redundant_planner.core.target.joint_curve import JointCurve, resampled
+from redundant_planner.core.target.joint_way import JointWay
+from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
+from redundant_planner.core.target.straight_motion import new_motion
+from redundant_planner.core.target.tree_growth import grow, MET, new_trees, way_between
+
+PANDA = make_panda()
+SEEDS = st.integers(0, 2**32 - 1)
+WALL = Obstacle.box('wall', (0.5, 0.0, 0.25), (0.5, 0.04, 0.5))
+LEFT = np.array([0.7, 0.6, 0.0, -1.9, 0.0, 2.4, 0.8])
+RIGHT = LEFT * (-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+
+
+def free_places(space, random, count):
+    """Places with some room, anywhere; the example is left out where there are too few."""
+    anywhere = [space.place(q) for q in random.uniform(
+        PANDA.position_min, PANDA.position_max, (200, 7))]
+    found = [place for place in anywhere if (place.room >= space.asked(0.01)).all()][:count]
+    assume(len(found) == count)
+    return found
+
+
+def dense_room(space, one, other):
+    return space.rooms(np.linspace(one, other, 200)).min()
+
+
+def grown(space, start, goals, seed, at_once=20):
+    """Trees after they have met, in pieces of so many postures."""
+    trees = new_trees(2000, (start.q[None], start.room[None]),
+                      tuple(np.array(part) for part in zip(*goals)))
+    motion = new_motion(7, len(start.room), 6.0)
+    aims = np.random.default_rng(seed).uniform(
+        PANDA.position_min, PANDA.position_max, (4000, 7))
+    ended, pieces = None, 0
+    while ended in (None, 0):
+        ended, looked = grow(
+            trees, motion, aims, space.asked(0.002), space.joints.scaling, 0.8,
+            space.joints.position_min, space.joints.position_max, space.reach, 2000, at_once,
+            space.robot.chain, space.around)
+        pieces += 1
+        assert looked <= 2 * at_once + 10
+    return trees, ended, pieces
+
+
+@settings(max_examples=examples(15), deadline=None)
+@given(SEEDS)
+def test_trees_that_met_have_a_free_way_from_the_start_to_a_goal(seed):
+    random = np.random.default_rng(seed)
+    space = space_among(crowd(random))
+    start, *goals = free_places(space, random, 4)
+    trees, ended, _ = grown(space, start, goals, seed)
+    if ended != MET:
+        return
+    postures, rooms = way_between(trees)
+    np.testing.assert_array_equal(postures[0], start.q)
+    assert any((postures[-1] == goal.q).all() for goal in goals)
+    np.testing.assert_allclose(
+        np.minimum(rooms, 0.3), np.minimum(space.rooms(postures), 0.3), atol=1e-9)
+    for one, other in pairwise(postures):
+        assert np.linalg.norm((other - one) / space.joints.scaling) <= 0.8 + 1e-9
+        assert dense_room(space, one, other) > 0.0
+
+
+def test_trees_grow_alike_in_small_pieces_and_large_ones():
+    space = space_among([WALL])
+    start, goal = space.place(LEFT), space.place(RIGHT)
+    ways = []
+    for at_once in (1, 7, 5000):
+        trees, ended, pieces = grown(space, start, [goal], 3, at_once)
+        assert ended == MET and (pieces == 1) == (at_once == 5000)
+        ways.append(way_between(trees)[0])
+    np.testing.assert_array_equal(ways[0], ways[1])
+    np.testing.assert_array_equal(ways[0], ways[2])
+
+
+@settings(max_examples=examples(15), deadline=None)
+@given(SEEDS, st.integers(1, 60))
+def test_shortcuts_never_lengthen_a_way_and_are_free(seed, at_once):
+    random = np.random.default_rng(seed)
+    space = space_among(crowd(random))
+    start, *goals = free_places(space, random, 3)
+    trees, ended, _ = grown(space, start, goals, seed)
+    if ended != MET:
+        return
+    postures, rooms = way_between(trees)
+    work = new_shortening(postures, rooms, space.joints.scaling)
+    motion, numbers = new_motion(7, len(start.room), 6.0), random.random((200, NUMBERS))
+    lengths, over = [work.along[len(postures) - 1]], False
+    while not over:
+        over, _ = shorten(
+            work, motion, *(np.array(part) for part in zip(*goals)), numbers, space.asked(0.002),
+            space.joints.scaling, space.reach, 40, at_once, space.robot.chain, space.around)
+        lengths.append(work.along[work.numbers[COUNT] - 1])
+    assert (np.diff(lengths) <= 1e-12).all() and lengths[-1] <= lengths[0]
+    shorter = work.postures[:work.numbers[COUNT]]
+    np.testing.assert_array_equal(shorter[0], start.q)
+    assert any((shorter[-1] == goal.q).all() for goal in goals)
+    assert lengths[-1] == pytest.approx(
+        np.linalg.norm(np.diff(shorter, axis=0) / space.joints.scaling, axis=1).sum())
+    for one, other in pairwise(shorter):
+        assert dense_room(space, one, other) > 0.0
+
+
+@settings(max_examples=examples(20), deadline=None)
+@given(SEEDS, st.integers(2, 5), st.sampled_from([np.inf, 0.3]))
+def test_a_way_is_followed_within_the_limits_and_ends_at_rest(seed, corners, speed):
+    random = np.random.default_rng(seed)
+    polygon = random.uniform(0.5 * PANDA.position_min, 0.5 * PANDA.position_max, (corners, 7))
+    limits = limits_of(PANDA, PlannerParameters())
+    curve = JointCurve(resampled(polygon, np.ones(7), 0.2))
+    way = JointWay(PANDA, limits, np.array((speed, np.inf)), curve, np.zeros(7))
+    expected, velocities, postures = way.seconds, [np.zeros(7)], []
+    while not way.over:
+        here, velocity = way.velocity(DT)
+        postures.append(here)
+        velocities.append(velocity)
+        way.went_on(1.0, 0.0, DT)
+        assert len(velocities) < 20.0 / DT
+    velocities = np.array(velocities)
+    assert (np.abs(velocities) <= 1.01 * limits.velocity_max).all()
+    accelerations = np.abs(np.diff(velocities, axis=0)) / DT / limits.acceleration_max
+    # The filter has the last word: here and there corners ask for more than their share.
+    assert np.percentile(accelerations.max(axis=1), 95) <= 1.1
+    assert np.abs(curve.at(np.array([curve.spans]))[0] - polygon[-1]).max() < 1e-9
+    assert DT * len(velocities) == pytest.approx(expected, rel=0.15, abs=0.05)
+    speeds = [np.linalg.norm((PANDA.kinematics(q).tip_jacobian @ v)[:3])
+              for q, v in zip(postures, velocities[1:])]
+    assert max(speeds) <= 1.05 * speed
+    if speed < 1.0:
+        assert max(speeds) > 0.9 * speed
+
+
+def test_a_better_rest_is_taken_up_in_motion_without_a_jump():
+    """The arm sets off within a tenth of a second, and still goes a short way."""
+    scene = Scene.of([WALL, Obstacle.box('shelf', (0.45, 0.0, 0.75), (0.3, 0.5, 0.02))])
+    run, target = Run(start=LEFT), tip(ROBOT, RIGHT)
+    curves = []
+
+    def watched(_):
+        way = run.planner._way._free
+        if way.stretch is Stretch.FOLLOWING and (not curves or way._points is not curves[-1]):
+            curves.append(way._points)
+        return target
+
+    run.to(watched, 6.0, scene)
+    moves = np.abs([result.dq for result in run.results]).max(axis=1) > 1e-3
+    assert moves.argmax() * DT <= 0.15
+    assert len(curves) > 1, 'nothing was improved: the test needs another scene'
+    run.assert_within_limits()
+    # What has been passed stays as it was.
+    for one, other in pairwise(curves):
+        np.testing.assert_array_equal(one[:2], other[:2])
+    assert np.abs(tip(ROBOT, run.q).position - target.position).max() < 5e-4
+
+
+def test_no_speed_limit_is_as_fast_as_the_joints_and_one_that_is_set_holds():
+    goal = PANDA_READY + np.array([1.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    seconds, speeds = [], []
+    for options in ({}, {'limits_linear_speed': 0.2}):
+        run = Run(**options)
+        run.to(goal, 10.0)
+        q, v = run.positions, [result.dq for result in run.results]
+        speeds.append(max(np.linalg.norm((ROBOT.kinematics(a).tip_jacobian @ b)[:3])
+                          for a, b in zip(q, v)))
+        seconds.append(DT * len(v))
+    assert speeds[1] <= 0.2 * 1.01 and speeds[0] > 0.6
+    assert seconds[1] > 2.0 * seconds[0]
