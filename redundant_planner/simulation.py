@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import Protocol
@@ -14,6 +14,7 @@ from redundant_planner.core.errors import StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
+from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
@@ -67,8 +68,9 @@ class Motion:
 
 def simulate(
     planner: AnyPlanner, start: npt.ArrayLike,
-    twist: npt.ArrayLike | Callable[[float], npt.ArrayLike], scene: Scene, duration: float,
-    dt: float, preview: Preview | None = None, *, target: Target | None = None,
+    twist: npt.ArrayLike | Callable[[float], npt.ArrayLike],
+    scene: Scene | Sequence[Obstacle], duration: float, dt: float,
+    preview: Preview | None = None, *, target: Target | None = None,
 ) -> Motion:
     """Run the planner from rest, in closed loop with an arm that follows at once.
 
@@ -93,6 +95,7 @@ def simulate(
     for name, value in (('duration', duration), ('dt', dt)):
         if not (math.isfinite(value) and value > 0.0):
             raise StateError(f'{name} is {value}; it must be positive [s]')
+    scene = scene if isinstance(scene, Scene) else Scene.of(scene)
     robot, margin = planner.robot, planner.parameters.clearance_margin
     planner.reset()
     count = round(duration / dt)

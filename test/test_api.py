@@ -194,3 +194,40 @@ def test_bad_arguments_are_refused_by_name(panda, change, message):
                  'dt': 0.004, **change}
     with pytest.raises(StateError, match=message):
         simulate(Planner(panda, PlannerParameters()), **arguments)
+
+
+def test_the_shortest_program_needs_no_parameters_and_no_scene(paper_arm):
+    one = simulate(Planner(paper_arm), START, TWIST, [BALL], 0.4, 0.004)
+    other = simulate(Planner(paper_arm, PlannerParameters()), START, TWIST, Scene.of([BALL]), 0.4,
+                     0.004)
+    np.testing.assert_array_equal(one.positions, other.positions)
+
+
+def test_obstacles_in_a_list_are_those_of_a_scene_whatever_list_it_is(paper_arm):
+    """A new list of the same obstacles is the same scene, and another obstacle is seen at once."""
+    far = Obstacle('ball', center=[2.0, 2.0, 2.0], semi_axes=[0.05, 0.03, 0.03])
+    planners = Planner(paper_arm), Planner(paper_arm)
+    for things in ([far],) * 3 + ([BALL],) * 3 + ([],) * 2 + ((BALL, far),):
+        results = [planner.step(np.array(START), np.array(TWIST), scene, 0.004)
+                   for planner, scene in zip(planners, (list(things), Scene.of(things)))]
+        np.testing.assert_array_equal(results[0].dq, results[1].dq)
+        assert results[0].nearest == results[1].nearest
+        assert (results[0].nearest is None) == (not things)
+
+
+@pytest.mark.skipif(PANDA_URDF is None, reason='no Panda URDF')
+def test_robots_that_come_with_the_package_are_found_by_name():
+    panda = Robot.from_file('panda')
+    assert panda.tip_frame == 'panda_hand' and len(panda.capsules) == 9
+    np.testing.assert_array_equal(Robot.from_file('paper_2p5r').position_max,
+                                  Robot.from_file(PAPER_ARM).position_max)
+    tip = panda.kinematics(panda.ready).tip_position
+    assert tip[0] > 0.3 and abs(tip[1]) < 0.2 and tip[2] > 0.3
+    with pytest.raises(PlannerError, match=r"'pnada' is neither a file nor a robot.*'panda'"):
+        Robot.from_file('pnada')
+
+
+def test_without_its_description_a_robot_by_name_says_what_to_install(monkeypatch):
+    monkeypatch.setattr('redundant_planner.io.robot_files.panda_urdf', lambda: None)
+    with pytest.raises(PlannerError, match='pip install example-robot-data'):
+        Robot.from_file('panda')

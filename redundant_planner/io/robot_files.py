@@ -7,19 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 import warnings
 
+import numpy as np
+import numpy.typing as npt
 import yaml
 
 from redundant_planner.core.cache_folder import cache_folder
-from redundant_planner.core.errors import known, ParameterError
+from redundant_planner.core.errors import known, ParameterError, PlannerError, shown
 from redundant_planner.core.parameters import AXES, ros_name, spec_of
 from redundant_planner.core.robot import model
 from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.simulated_arm import joint_ranges
 from redundant_planner.core.robot.urdf import Joint, read_urdf
+from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import links_without_shape
 from redundant_planner.io.link_shapes import capsule_entry, fitted_capsules, larger_than_the_rest
 from redundant_planner.io.mount import base_of, mounted
@@ -33,7 +37,7 @@ from redundant_planner.io.parameter_files import (
     urdf_folder,
     urdf_text,
 )
-from redundant_planner.io.resources import read_text, resolve
+from redundant_planner.io.resources import panda_urdf, read_text, resolve, share_directory
 
 # What forks after this many joints is a hand.
 _ARM_JOINTS = 6
@@ -126,14 +130,41 @@ class Robot(model.Robot):
 
         Args:
             path: a file, or a `file://` or `package://` location, that starts with
-                `/**: ros__parameters:`. `config/robots` has examples.
+                `/**: ros__parameters:`; or the name of one in `config/robots`, such as 'panda'.
             changes: robot parameters that replace those of the file, such as `axes` or `urdf`.
 
         Raises:
             ParameterError: the file is not a parameter file, or a value does not fit.
             PlannerError: there is no such file, or it does not describe a robot.
         """
-        return _robot_of_file(resolve(str(path)), changes, warnings.warn)
+        folder = share_directory() / 'config' / 'robots'
+        shipped = {file.stem: file for file in folder.glob('*.yaml')}
+        if str(path) not in shipped:
+            if str(path).isidentifier() and not Path(path).exists():
+                raise PlannerError(f'{shown(str(path))} is neither a file nor a robot that comes '
+                                   f'with this package: {known(shipped)}')
+            return _robot_of_file(resolve(str(path)), changes, warnings.warn)
+        if path == 'panda' and 'urdf' not in changes:
+            changes['urdf'] = str(_panda())
+        return _robot_of_file(shipped[str(path)], changes, warnings.warn)
+
+    @cached_property
+    def ready(self) -> npt.NDArray[np.float64]:
+        """A posture (n,) to start from: away from limits, singularities and its own links."""
+        return start_posture(self)
+
+
+def _panda() -> Path:
+    """Return where a Panda's URDF is.
+
+    Raises:
+        PlannerError: nowhere; the message says what to install.
+    """
+    found = panda_urdf()
+    if found is None:
+        raise PlannerError("'panda' needs a URDF: install ros-jazzy-moveit-resources-panda-"
+                           'description, or pip install example-robot-data')
+    return found
 
 
 def build_robot(

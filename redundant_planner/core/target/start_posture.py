@@ -22,12 +22,13 @@ _FIRST_STEP, _LAST_STEP = 0.1, 0.004
 _MOST_STEPS = 60
 # With more of each than this, more is no better: the distance to a limit as a share of the
 # range, the room between links as a share of the arm's reach, and the same of the height above
-# the base plane.
-_AMPLE_RANGE, _AMPLE_ROOM, _AMPLE_HEIGHT = 0.2, 0.04, 0.15
+# the base plane of links, and of the tip and the elbow.
+_AMPLE_RANGE, _AMPLE_ROOM, _AMPLE_HEIGHT, _UP = 0.2, 0.02, 0.15, 0.4
 # What is no more than this share of ample makes a posture that much worse, and not useless.
 _LEAST = 1e-3
-# How much worse a posture is with every joint at ±π, and with the tip behind the base.
-_TURNED, _BEHIND = 0.8, 0.5
+# How much worse a posture is with every joint at ±π, with the tip behind the base, and with its
+# z axis, along which most hands reach, straight up.
+_TURNED, _BEHIND, _UPWARD = 0.8, 0.5, 0.5
 # Digits that a person reads and types [rad, m].
 _DIGITS = 2
 
@@ -42,11 +43,13 @@ def start_posture(robot: Robot, parameters: PlannerParameters | None = None) -> 
     - the least distance of a joint to its limits, of its range; a fifth is enough;
     - √det(JJᵀ) and J's smallest singular value, relative to the best seen, and of both the
       geometric mean. The ratios have no unit, so lengths and angles need not be compared;
-    - the least room between links that can collide, beyond their margin; 4 % of the reach is
+    - the least room between links that can collide, beyond their margin; 2 % of the reach is
       enough;
-    - the height of tip and links above the base plane; 15 % of the reach is enough for the tip;
-    - small joint angles count for more than large ones, and a tip in front of the first joint
-      (along x of the base) for more than one behind it.
+    - the height above the base plane, of the tip and of the highest joint between it and the
+      first, the elbow: 40 % of the reach is enough for both; and that of the lowest link;
+    - small joint angles count for more than large ones, a tip in front of the first joint (along
+      x of the base) for more than one behind it, and a hand (z of the tip) that points down for
+      more than one that points up.
 
     Joints without limits stand within ±π. What stands still around the arm is not known here,
     its own pedestal included, unless there are capsules around it.
@@ -98,6 +101,8 @@ class _Seen(NamedTuple):
         room: (N,) between links, margin taken off [m]; infinite for links that cannot collide.
         tip: (N, 3) in the base frame, seen from the first joint in x and y [m].
         lowest: (N,) z of the lowest end of a link [m].
+        elbow: (N,) z of the highest joint [m].
+        upward: (N,) cosine of the angle of the tip's z axis to that of the base.
     """
 
     q: Array
@@ -106,6 +111,8 @@ class _Seen(NamedTuple):
     room: Array
     tip: Array
     lowest: Array
+    elbow: Array
+    upward: Array
 
 
 class _Judge:
@@ -144,7 +151,9 @@ class _Judge:
                 arms.segment_start[..., 2], arms.segment_end[..., 2]).min(axis=1))
         tip = arms.tip_position.copy()
         tip[:, :2] -= self._shoulder[:2]
-        return _Seen(postures, values.prod(axis=1), values[:, -1], room, tip, lowest)
+        elbow = np.array([self._robot.joint_points(q)[:, 2].max() for q in postures])
+        return _Seen(postures, values.prod(axis=1), values[:, -1], room, tip, lowest, elbow,
+                     arms.tip_rotation[:, 2, 2])
 
     def compare_with(self, seen: _Seen) -> None:
         """Take the best of what is seen as what is possible."""
@@ -166,9 +175,11 @@ class _Judge:
         return np.asarray(
             _enough(to_limit / _AMPLE_RANGE) * np.maximum(able, _LEAST)
             * _enough(seen.room / (_AMPLE_ROOM * self._reach))
-            * _enough(seen.tip[:, 2] / (_AMPLE_HEIGHT * self._reach))
+            * _enough(seen.tip[:, 2] / (_UP * self._reach))
+            * _enough(seen.elbow / (_UP * self._reach))
             * _enough(1.0 + seen.lowest / (_AMPLE_HEIGHT * self._reach))
-            * (1.0 - _TURNED * turned) * (1.0 - _BEHIND * behind))
+            * (1.0 - _TURNED * turned) * (1.0 - _BEHIND * behind)
+            * (1.0 - _UPWARD * (0.5 + 0.5 * seen.upward)))
 
 
 def _enough(share: Array) -> Array:
