@@ -16,7 +16,10 @@ import multiprocessing
 from multiprocessing import connection
 from multiprocessing.synchronize import Barrier
 import os
+import sys
 import time
+
+from redundant_planner.core.machine_code.progress import bar, functions_to_compile
 
 # Steps of two lanes each: modules that do not import each other.
 STEPS = (
@@ -28,7 +31,8 @@ STEPS = (
      ('core.safety.pace', 'core.obstacles.nearby', 'core.safety.qp',
       'core.safety.position_command', 'core.safety.following')),
     (('core.tick',), ('core.horizon.path_linearised', 'core.horizon.path_qp')),
-    (('core.target.free_space', 'io.obstacle_tracker'), ('core.horizon.multi_start',)),
+    (('core.target.tree_growth', 'core.target.shortcuts', 'io.obstacle_tracker'),
+     ('core.horizon.multi_start',)),
     (('core.planner',),
      ('perception.cloud_filter', 'perception.depth_camera', 'perception.octree',
       'io.preview_reader')),
@@ -45,21 +49,31 @@ def main() -> int:
     # compile.
     for library in ('daqp', 'numba', 'pinocchio', 'scipy.spatial'):
         import_module(library)
-    import_module('redundant_planner.core.machine_code.compiling').told.append(True)
-    import_module('redundant_planner.core.kernels')
     forked = multiprocessing.get_context('fork')
+    told, ready = forked.SimpleQueue(), set[str]()
+
+    def tell(name: str, *, compiled: bool) -> None:
+        told.put(name)
+
+    import_module('redundant_planner.core.machine_code.compiling').listeners.append(tell)
+    import_module('redundant_planner.core.kernels')
+    total = functions_to_compile()
     both_done = forked.Barrier(2)
     working = [forked.Process(target=_compile, args=(lanes, both_done)) for lanes in zip(*STEPS)]
     for process in working:
         process.start()
     while working:
-        connection.wait([process.sentinel for process in working])
+        connection.wait([process.sentinel for process in working], timeout=0.2)
+        while not told.empty():
+            ready.add(told.get())
+        if sys.stdout.isatty():
+            print(bar(len(ready), total, time.monotonic() - begin), end='   \r', flush=True)
         if any(process.exitcode for process in working):
             for process in working:
                 process.terminate()
             return 1
         working = [process for process in working if process.exitcode is None]
-    print(f'done after {time.monotonic() - begin:.0f} s')
+    print(f'{len(ready)} functions are ready after {time.monotonic() - begin:.0f} s' + 20 * ' ')
     return 0
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import itertools
 from pathlib import Path
-import sys
 from typing import Any, cast, TypeVar
 
 import numba
@@ -20,12 +19,13 @@ from redundant_planner.core.machine_code.crossing import (
     taking_parts,
 )
 from redundant_planner.core.machine_code.means import Means
+from redundant_planner.core.machine_code.progress import Announcer, Listener
 from redundant_planner.core.machine_code_cache import machine_code_folder, seal
 
 _Function = TypeVar('_Function', bound=Callable[..., object])
 
-# Whether somebody has said that compiling takes a while; he says so once.
-told: list[bool] = []
+# Told of each function that is ready, and whether it had to be compiled.
+listeners: list[Listener] = []
 
 
 def compile_called(function: _Function, means: Means) -> _Function:
@@ -58,18 +58,14 @@ def _compile(
     if not inlined and LOCAL not in function.__qualname__:
         means.share(dispatcher)
     stats = getattr(dispatcher, 'stats', None)
-    if stats is None or stats.cache_misses:
-        _say_once()
-        if kept and stats is not None:
-            seal(Path(stats.cache_path), f'.{function.__qualname__}-')
+    missed = stats is None or bool(stats.cache_misses)
+    if missed and kept and stats is not None:
+        seal(Path(stats.cache_path), f'.{function.__qualname__}-')
+    if not listeners:
+        listeners.append(Announcer())
+    for listener in listeners:
+        listener(f'{function.__module__}.{function.__qualname__}', compiled=missed)
     return cast(_Function, dispatcher)
-
-
-def _say_once() -> None:
-    if not told:
-        told.append(True)
-        print('redundant_planner: compiling its mathematics, once per installation; this takes '
-              'a minute or more', file=sys.stderr, flush=True)
 
 
 @contextmanager
