@@ -39,8 +39,8 @@ _ROUNDS, _SOON, _LATE, _LONGEST = 6, 0.028, 0.1, 1.0
 # After this time without a way a tick works a quarter as much [s].
 _DILIGENT = 5.0
 # The rest of a way that is improved begins this far ahead of the arm [s], and is at least so many
-# control points long.
-_AHEAD, _FEWEST_POINTS = 0.25, 4
+# control points long; after so many attempts in all it stays as it is.
+_AHEAD, _FEWEST_POINTS, _MOST_ROUNDS = 0.25, 4, 24
 # Postures of a way that is followed that are looked at, to see whether it is still free, and how
 # often [s].
 _LOOKS_AHEAD, _LOOK_PERIOD = 12, 0.1
@@ -294,7 +294,7 @@ class FreeWay:
             self._follow(polygon, start.previous)
             self.stretch, self.tried_line = Stretch.FOLLOWING, search.aside
             self._aside = 0.0 if search.aside else None
-            self._improves, self._rest = not search.aside, None
+            self._improves, self._rest = not (search.aside or search.straight), None
             return
         if self._gives_way and self._age >= _PATIENT and search.way is None:
             search.step_aside()
@@ -308,8 +308,7 @@ class FreeWay:
             first = int(way.parameter_in(_AHEAD)) + 2 + OVERLAP
             first = max(first, self._since + OVERLAP)
             last = len(self._points) - 1
-            self._improves = (
-                last - first >= _FEWEST_POINTS and finder.search.rounds < 4 * _ROUNDS)
+            self._improves = last - first >= _FEWEST_POINTS
             if self._improves:
                 finder.improve(self._points[first - OVERLAP:first + 1],
                                (first - self._since) / (last - self._since))
@@ -318,6 +317,7 @@ class FreeWay:
             self._rest = None  # too late for this one
         elif finder.found is None:
             finder.think(self._work(start.dt), _ROUNDS)
+            self._improves = finder.found is not None or finder.search.rounds < _MOST_ROUNDS
         else:
             points, self._since = np.vstack((self._points[:self._rest], finder.found)), self._rest
             better = JointWay(
