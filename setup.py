@@ -25,8 +25,8 @@ MUJOCO = ['mujoco>=3.2', 'matplotlib>=3.6']
 VIEWER = ['viser>=1.1,<2', 'example-robot-data', *ANALYSIS]
 # For `python -m benchmark.…` alone: what is compared with, and the optimum.
 # (JAX, which cbfpy brings, has wheels of its own for each Python.)
-BENCHMARK = ['casadi', 'mink', 'pin-pink', 'roboplan>=0.7; python_version >= "3.12"',
-             'cbfpy>=0.1; python_version >= "3.12"']
+BENCHMARK = ['casadi', 'mink', 'pin-pink', 'toppra>=0.6',
+             'roboplan>=0.7; python_version >= "3.12"', 'cbfpy>=0.1; python_version >= "3.12"']
 # `make docs`; furo is the theme (MIT), myst-parser reads Markdown (MIT).
 DOCS = ['furo', 'myst-parser', 'sphinx']
 # A headless Chromium for the report's own test; half a gigabyte.
@@ -34,7 +34,7 @@ BROWSER = ['PySide6-WebEngine']
 TEST = [
     'colcon-bash', 'colcon-core', 'colcon-package-information', 'colcon-python-setup-py',
     'colcon-ros', 'docutils', 'example-robot-data', 'hypothesis', 'markdown-it-py', 'mypy',
-    'pytest', 'pytest-rerunfailures', 'ruff', 'types-PyYAML', *MUJOCO, *VIEWER,
+    'pytest', 'pytest-rerunfailures', 'ruff', 'types-PyYAML', 'xacro', *MUJOCO, *VIEWER,
 ]
 
 setup(

@@ -272,3 +272,20 @@ def test_a_short_run_of_a_made_family_hits_nothing(tmp_path, capsys):
     assert len(entry['stopped']) == round(2 * (1 - entry['reached']))
     assert set(entry['by_family']) == {'box'}
     assert 'dynamic_factor' in capsys.readouterr().out
+
+
+def test_the_fastest_motion_along_a_line_is_bang_bang():
+    pytest.importorskip('toppra')
+    from benchmark.problem_sets.fastest import fastest_time
+    from benchmark.scenarios import make_robot
+    robot = make_robot('panda', 6)
+    start = np.array([0.0, 0.0, 0.0, -2.0, 0.0, 1.7, 0.7])
+    short, far = np.zeros(7), np.zeros(7)
+    short[1], far[1] = 0.2, 1.0
+    ways = [start + np.linspace(0.0, 1.0, 60)[:, None] * step for step in (short, far)]
+    a, v = robot.acceleration_max[1], robot.velocity_max[1]
+    assert fastest_time(robot, ways[0]) == pytest.approx(2.0 * np.sqrt(0.2 / a), rel=0.02)
+    assert fastest_time(robot, ways[1]) == pytest.approx(1.0 / v + v / a, rel=0.02)
+    # Standing still on the way counts for nothing.
+    rested = np.vstack((ways[0][:30], np.repeat(ways[0][29:30], 50, axis=0), ways[0][30:]))
+    assert fastest_time(robot, rested) == pytest.approx(fastest_time(robot, ways[0]), rel=0.02)

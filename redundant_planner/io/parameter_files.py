@@ -34,6 +34,7 @@ from redundant_planner.io.perception_parameters import (
 )
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters, PhysicsParameters
 from redundant_planner.io.resources import read_text, resolve, yaml_content
+from redundant_planner.io.xacro_files import urdf_in
 
 Settings = TypeVar('Settings')
 
@@ -167,10 +168,10 @@ def urdf_text(parameters: RobotParameters, folder: Path | None = None) -> str:
         folder: for a relative path; the working directory if None.
 
     Raises:
-        PlannerError: there is no such file.
+        PlannerError: there is no such file, or it has macros that cannot be expanded.
     """
     if parameters.urdf:
-        return read_text(resolve(parameters.urdf, folder))
+        return urdf_in(resolve(parameters.urdf, folder))
     return parameters.robot_description
 
 

@@ -37,7 +37,8 @@ from redundant_planner.io.parameter_files import (
     urdf_folder,
     urdf_text,
 )
-from redundant_planner.io.resources import panda_urdf, read_text, resolve, share_directory
+from redundant_planner.io.resources import panda_urdf, resolve, share_directory
+from redundant_planner.io.xacro_files import urdf_in
 
 # What forks after this many joints is a hand.
 _ARM_JOINTS = 6
@@ -85,8 +86,9 @@ class Robot(model.Robot):
         A link that can be seen but has no collision geometry is named in a warning.
 
         Args:
-            path: a file, or a `file://` or `package://` location. Its meshes may be relative to
-                it, or in a package that it lies in or that is installed.
+            path: a file, or a `file://` or `package://` location; xacro files are expanded where
+                xacro is installed. Its meshes may be relative to it, or in a package that it lies
+                in or that is installed.
             tip_frame: the link whose origin is the end effector.
             base_frame: the link that twists, obstacles and poses refer to; empty for the root.
             locked_positions: joint name → position at which it is held [rad, m]. Other joints
@@ -110,7 +112,7 @@ class Robot(model.Robot):
                 limit makes no sense, or there is no collision geometry to fit capsules to.
         """
         file = resolve(str(path))
-        urdf = read_text(file)
+        urdf = urdf_in(file)
 
         def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
             return cls(

@@ -27,6 +27,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from redundant_planner.core.errors import known, PlannerError
+from redundant_planner.io.xacro_files import expanded
 from redundant_planner.nodes.child_processes import LiveError, Processes
 from redundant_planner.nodes.runtime import (
     best_executor,
@@ -132,9 +133,10 @@ def prepared(
         PlannerError, OSError: with what is wrong.
     """
     options.out.mkdir(parents=True, exist_ok=True)
-    stem = Path(options.urdf).stem
+    urdf = expanded(options.urdf, options.xacro_args, options.out)
+    stem = Path(urdf).stem
     file, picture = (options.out / f'{stem}.{kind}' for kind in ('yaml', 'png'))
-    described = described_by_urdf(options.urdf, options.tip, options.base, lambda _: None)
+    described = described_by_urdf(urdf, options.tip, options.base, lambda _: None)
     is_kept = file.exists() and not options.overwrite
     if is_kept:
         wanted, described = described.parameters, described_by_file(file)
@@ -152,7 +154,7 @@ def prepared(
                 Path(found.urdf).stat().st_mtime > file.stat().st_mtime):
             warn(f'{found.urdf} is newer than {file}')
     else:
-        described = described_by_urdf(options.urdf, options.tip, options.base, warn)
+        described = described_by_urdf(urdf, options.tip, options.base, warn)
         say('fitting capsules to the collision geometry')
     arm = arm_of(described, warn)
     if not is_kept:
@@ -269,6 +271,9 @@ def main(args: list[str] | None = None) -> int:
     """Run quick_start; return the process's exit status: 0 if Ctrl-C ended a running arm."""
     parser = argparse.ArgumentParser(prog='quick_start', description=__doc__)
     parser.add_argument('urdf', help='path, file:// or package:// location of the URDF')
+    parser.add_argument('--xacro-args', nargs='+', default=[], metavar='NAME:=VALUE',
+                        help='for a URDF that ends with .xacro, which is expanded to a file '
+                             'beside the parameter file')
     parser.add_argument('--tip', default='',
                         help='link that is the end effector; the end of the longest chain, '
                              'before its hand, if not given')

@@ -38,8 +38,9 @@ from redundant_planner.io.parameter_files import (
     urdf_folder,
     urdf_text,
 )
-from redundant_planner.io.resources import read_text, resolve
+from redundant_planner.io.resources import resolve
 from redundant_planner.io.robot_files import build_robot, likely_tip
+from redundant_planner.io.xacro_files import expanded, urdf_in
 
 Array = npt.NDArray[np.float64]
 
@@ -81,7 +82,7 @@ def described_by_urdf(
     Raises:
         PlannerError: it cannot be read, or describes no such arm.
     """
-    text = read_text(resolve(urdf))
+    text = urdf_in(resolve(urdf))
     parameters = RobotParameters(
         urdf=_from_anywhere(urdf, None), tip_frame=tip or likely_tip(text), base_frame=base)
     chain = Robot(text, parameters.tip_frame, base_frame=base, velocity_max=_VELOCITY, capsules=[])
@@ -252,6 +253,9 @@ def main(args: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog='show_robot', description=__doc__)
     parser.add_argument('--urdf', default='',
                         help='path, file:// or package:// location of the URDF')
+    parser.add_argument('--xacro-args', nargs='+', default=[], metavar='NAME:=VALUE',
+                        help='for a URDF that ends with .xacro, which is expanded to a file '
+                             'beside the picture')
     parser.add_argument('--params', type=Path, help='parameter file of the robot instead')
     parser.add_argument('--tip', default='',
                         help='link that is the end effector; the end of the longest chain, '
@@ -291,7 +295,8 @@ def _described(options: argparse.Namespace, warn: Callable[[str], object]) -> De
         return described_by_file(options.params, options.urdf, options.tip, options.base)
     if not options.urdf:
         raise PlannerError('give --urdf or --params')
-    return described_by_urdf(options.urdf, options.tip, options.base, warn)
+    urdf = expanded(options.urdf, options.xacro_args, options.out.parent)
+    return described_by_urdf(urdf, options.tip, options.base, warn)
 
 
 def _table(robot: Robot, fits: Sequence[Fit], seconds: float) -> Table:
