@@ -33,7 +33,8 @@ def files(tmp_path, request):
     found = {}
     for side, urdf in zip(SIDES, request.param):
         options = argparse.Namespace(
-            urdf=str(urdf), out=tmp_path / side, tip='', base='', overwrite=False)
+            urdf=str(urdf), xacro_args=(), out=tmp_path / side, tip='', base='',
+            overwrite=False)
         found[side] = prepared(options, lambda _: None, lambda _: None)[1]
     return found
 
