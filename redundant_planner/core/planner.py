@@ -78,7 +78,8 @@ _FAINT = 0.01
 _RUSH = 0.1
 
 
-# A way of the joints was found free: what the gain is low for, to turn away early, is not needed.
+# By how much the gain is higher along a way of the joints: it is low for a null space that turns
+# away early, and there is none. With more than that, arms are not faster.
 _ALONG_WAYS = 2.0
 
 
