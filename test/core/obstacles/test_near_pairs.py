@@ -11,7 +11,12 @@ from test_clearance import all_clearances
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.clearance_gradients import clearance_gradients
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
-from redundant_planner.core.obstacles.near_pairs import MOST_AHEAD_PAIRS, near_pairs_along
+from redundant_planner.core.obstacles.near_pairs import (
+    MOST_ACTING,
+    MOST_AHEAD_PAIRS,
+    near_pairs,
+    near_pairs_along,
+)
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 
@@ -60,3 +65,32 @@ def test_of_too_many_pairs_along_a_path_the_nearest_are_taken(robot, count):
         assert near.nearest == every.distance.min()
         crowds += within < 0.15
     assert (crowds > 2) == (count == 80)
+
+
+@pytest.mark.parametrize('shape', ['ellipsoids', 'boxes'])
+def test_a_barrier_that_is_left_out_holds_at_any_velocity_of_the_tick(robot, shape):
+    """However fast the joints are: among few things at rest nothing needs to slow them down."""
+    random, left_out = np.random.default_rng(8), 0
+    for seed in range(25):
+        q = random_postures(robot, 1, seed)[0]
+        things = [random_obstacle(random, f'{i}') for i in range(7)]
+        kind = Obstacle.box if shape == 'boxes' else Obstacle
+        things = [kind(o.name, o.center, o.half_extents, orientation=o.orientation)
+                  for o in things]
+        arm, maps, pairs = all_clearances(robot, q, things)
+        fastest, rate = random.uniform(0.2, 1.0) * robot.velocity_max, random.uniform(2.0, 8.0)
+        speeds = robot.lever_arm_bounds @ fastest
+        near = near_pairs(maps, robot.links(arm), fastest, speeds, rate, 0.1,
+                          np.full(len(speeds), np.inf))
+        assert len(near.acting) <= MOST_ACTING
+        acting = {(near.links[i], near.obstacles[i]) for i in near.acting}
+        dq = random.choice((-1.0, 1.0), (200, robot.n)) * fastest
+        every = np.ones_like(pairs.distance, dtype=bool).nonzero()
+        gradient, _ = clearance_gradients(maps, pairs, every, robot.links(arm))
+        for link, obstacle, row in zip(*every, gradient):
+            rho = pairs.normalized_distance[link, obstacle]
+            within = near.unseen[link] <= pairs.distance[link, obstacle]
+            if (link, obstacle) not in acting and rho > 0.0 and not within:
+                assert (dq @ row >= -rate * rho).all()
+                left_out += pairs.distance[link, obstacle] < speeds[link] / rate
+    assert left_out > 100, 'the lever arms alone said as much'
