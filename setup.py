@@ -90,6 +90,7 @@ setup(
             f'cloud_obstacles = {PACKAGE}.nodes.cloud_obstacles:main',
             f'planning_scene_obstacles = {PACKAGE}.nodes.planning_scene_obstacles:main',
             f'depth_camera = {PACKAGE}.nodes.depth_camera:main',
+            f'drive = {PACKAGE}.tools.drive:main',
             f'go_to = {PACKAGE}.tools.go_to:main',
             f'record_bag = {PACKAGE}.tools.record_bag:main',
             f'analyze_bag = {PACKAGE}.tools.analyze_bag:main',

@@ -19,7 +19,7 @@ IGNORED = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'in
                                  'demo_output')
 EXECUTABLES = ('planner_node', 'fake_hardware_node', 'scenario_player', 'cloud_obstacles',
                'planning_scene_obstacles', 'depth_camera', 'mujoco_hardware_node', 'demo',
-               'reproduce_paper', 'quick_start', 'go_to', 'show_robot', 'playground')
+               'reproduce_paper', 'quick_start', 'drive', 'go_to', 'show_robot', 'playground')
 
 
 def colcon(workspace: Path, *arguments: str) -> str:
