@@ -169,32 +169,29 @@ def prepared(
     return arm, file, bool(described.start) or not is_kept
 
 
-def next_steps(domain: int, ros2: bool, go_to: Sequence[str]) -> str:
+def next_steps(domain: int, drive: Sequence[str], go_to: Sequence[str]) -> str:
     """Return what to type in another terminal.
 
     Args:
         domain: the ROS domain.
-        ros2: whether the ros2 command line is there.
-        go_to: how the command is called here.
+        drive, go_to: how the commands are called here.
     """
     there = f'ROS_DOMAIN_ID={domain} ' if domain else ''
-    lines = ['In another terminal, move the tip up at 5 cm/s until Ctrl-C:', '',
-             f'    {there}ros2 topic pub --rate 20 /cmd_vel geometry_msgs/msg/Twist '
-             '"{linear: {z: 0.05}}"', ''] if ros2 else []
-    lines += ['Or send it 5 cm along its own x axis:' if ros2 else
-              'In another terminal, send the tip 5 cm along its own x axis:', '',
-              f'    {there}{shlex.join(go_to)} --relative --position 0.05 0 0 --wait', '',
-              'Ctrl-C here ends the planner and the simulated arm.']
-    return '\n'.join(lines)
+    return '\n'.join((
+        'In another terminal, move the tip by keys:', '',
+        f'    {there}{shlex.join(drive)}', '',
+        'Or send it 5 cm along its own x axis:', '',
+        f'    {there}{shlex.join(go_to)} --relative --position 0.05 0 0 --wait', '',
+        'Ctrl-C here ends the planner and the simulated arm.'))
 
 
-def _go_to_here() -> list[str]:
-    """Return how go_to is called on this machine."""
-    if shutil.which('go_to'):
-        return ['go_to']
+def _called_here(command: str) -> list[str]:
+    """Return how a command of this package is called on this machine."""
+    if shutil.which(command):
+        return [command]
     if shutil.which('ros2'):
-        return ['ros2', 'run', 'redundant_planner', 'go_to']
-    return [sys.executable, '-m', 'redundant_planner.tools.go_to']
+        return ['ros2', 'run', 'redundant_planner', command]
+    return [sys.executable, '-m', f'redundant_planner.tools.{command}']
 
 
 class _Nodes(Processes):
@@ -255,7 +252,7 @@ def _run(
                     nodes.start(_ARM, [file], values, name=_ARM)
                     is_started = True
             station.close()
-            say(next_steps(domain, shutil.which('ros2') is not None, _go_to_here()))
+            say(next_steps(domain, *map(_called_here, ('drive', 'go_to'))))
             while True:
                 nodes.check()
                 time.sleep(_LOOK)

@@ -182,8 +182,10 @@ def test_a_domain_that_is_none_is_refused(monkeypatch, capsys):
 
 
 def test_it_says_what_to_type_with_and_without_the_ros2_command_line():
-    both = next_steps(0, True, ['ros2', 'run', 'redundant_planner', 'go_to'])
-    assert '    ros2 topic pub --rate 20 /cmd_vel geometry_msgs/msg/Twist "{linear' in both
+    both = next_steps(0, *(['ros2', 'run', 'redundant_planner', name] for name in (
+        'drive', 'go_to')))
+    assert '    ros2 run redundant_planner drive\n' in both
     assert '    ros2 run redundant_planner go_to --relative --position 0.05 0 0 --wait' in both
-    without = next_steps(7, False, ['go_to'])
-    assert 'ros2 topic' not in without and '    ROS_DOMAIN_ID=7 go_to --relative' in without
+    without = next_steps(7, ['drive'], ['go_to'])
+    assert '    ROS_DOMAIN_ID=7 drive\n' in without
+    assert '    ROS_DOMAIN_ID=7 go_to --relative' in without
