@@ -35,12 +35,15 @@ def test_the_core_knows_neither_ros_nor_the_rest_of_the_package(path):
         assert (top in {'numpy', 'numba', 'scipy', 'pinocchio', 'daqp'}
                 or top in sys.stdlib_module_names
                 or name.startswith('redundant_planner.core')), f'{path.name} imports {name}'
-        assert top not in {'time', 'logging', 'datetime'}, f'{path.name} imports {name}'
+        # What says how long compiling takes has no part in planning.
+        assert top not in {'time', 'logging', 'datetime'} or path.name == 'progress.py', (
+            f'{path.name} imports {name}')
 
 
 def test_only_nodes_and_live_tools_touch_ros():
-    live = ('go_to.py', 'live_run.py', 'quick_start.py', 'record_bag.py', 'to_and_fro.py',
-            'playground.py', 'app.py', 'obstacle_sender.py', 'planner_client.py')
+    live = ('drive.py', 'go_to.py', 'live_run.py', 'quick_start.py', 'record_bag.py',
+            'to_and_fro.py', 'playground.py', 'app.py', 'obstacle_sender.py',
+            'planner_client.py')
     for path in PACKAGE.rglob('*.py'):
         if path.parent.name == 'nodes' or path.name in live:
             continue
