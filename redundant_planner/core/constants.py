@@ -26,7 +26,8 @@ class RobotConstants(NamedTuple):
         lever_arm_bounds, supports: (c, n) see `Robot`.
         radii, self_pairs, self_supports, self_lever_arm_bounds: the fields of `SelfPairs`; without
             pairs if self-collision is switched off.
-        rows: (m,) the controlled ones of the six axes.
+        parents: (n,) see `Chain`.
+        rows: (m,) the controlled ones of the six axes of each tip.
         in_tool: whether J and twists are in tool axes.
         preferred: (n,) where the joints should rather be; NaN for anywhere [rad, m].
         cone: that an axis of the tip stays in.
@@ -41,6 +42,7 @@ class RobotConstants(NamedTuple):
     self_pairs: IndexPairs
     self_supports: Matrix
     self_lever_arm_bounds: Matrix
+    parents: Indices
     rows: Indices
     in_tool: bool
     preferred: Vector
@@ -123,8 +125,8 @@ def robot_constants(robot: Robot, parameters: PlannerParameters) -> RobotConstan
         np.array(robot.position_min), np.array(robot.position_max),
         1.0 / np.sqrt(joint_weights(robot, parameters)), np.array(robot.lever_arm_bounds),
         np.array(robot.supports), radii + self_margin / 2.0, np.array(pairs), supports,
-        np.abs(supports) * robot.lever_arm_bounds[pairs].max(axis=1), np.array(robot.rows),
-        robot.in_tool, preferred_posture(robot, parameters), _cone(parameters))
+        np.abs(supports) * robot.lever_arm_bounds[pairs].max(axis=1),
+        np.array(robot.chain.parents), np.array(robot.rows), robot.in_tool, preferred_posture(robot, parameters), _cone(parameters))
 
 
 def preferred_posture(robot: Robot, parameters: PlannerParameters) -> Array:

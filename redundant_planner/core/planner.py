@@ -6,7 +6,7 @@ remembers; each of these is an object or a function of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import math
 from operator import is_not
 from typing import NamedTuple
@@ -27,11 +27,16 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
-from redundant_planner.core.redundancy.command import limited_twist
-from redundant_planner.core.redundancy.reference import followed_pose, reference_of, Start, Task
+from redundant_planner.core.redundancy.command import limited_twists
+from redundant_planner.core.redundancy.reference import (
+    followed_poses,
+    reference_of,
+    Start,
+    Task,
+)
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.safety.barriers import (
     Barriers,
     barriers_in,
@@ -45,10 +50,10 @@ from redundant_planner.core.safety.slow_down import SlowDown
 from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity
 from redundant_planner.core.safety.way_out import LastWayOut
-from redundant_planner.core.step_result import Nearest, StepResult
+from redundant_planner.core.step_result import Nearest, StepResult, TipResult
 from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.free_way import JointMotion
-from redundant_planner.core.target.goal import checked_target, Target
+from redundant_planner.core.target.goal import checked_target, poses_of_tips, Target
 from redundant_planner.core.target.moving_target import checked_news, Sighting
 from redundant_planner.core.target.way import Way
 from redundant_planner.core.tick import Setup, Wish, wish, World
@@ -88,7 +93,7 @@ class _LastTick(NamedTuple):
 
     Attributes:
         dq: (n,) the velocity that it planned.
-        reference: pose that the tip should have now; None after a reset, for the tip's own.
+        reference: poses that the tips should have now; None after a reset, for their own.
         followed: (m,) the part of the path that was followed.
         leaving: whether the arm is leaving its path to evade something.
         rush: for how long clearance still goes before jerk [s].
@@ -97,7 +102,7 @@ class _LastTick(NamedTuple):
     """
 
     dq: Array
-    reference: Pose | None
+    reference: Poses | None
     followed: Array
     leaving: bool
     rush: float
@@ -168,6 +173,9 @@ class Planner:
         self._filtered = filtered
         self._given: tuple[tuple[Obstacle, ...], Scene] = (), Scene.of()  # obstacles, if a list is
         self._controlled = robot.full_twist(np.ones(robot.m))
+        # Each tip has a share of the commanded speed of its own.
+        self._share_of = robot.rows // 6 if len(robot.tips) > 1 else None
+        self._given_tips: tuple[Mapping[str, Pose], Poses] | None = None
         self._last = self._at_rest()
         self._smoothing = Smoothing(
             robot.n, reversal_time(robot.acceleration_max, robot.jerk_max) if filtered else 0.0)
@@ -196,7 +204,8 @@ class Planner:
             parameters.clearance_margin > self._parameters.clearance_margin)
         self._parameters, self._weights, self._limits = parameters, weights, limits
         self._constants, self._gains = constants, gains
-        self._setup = Packed.of(Setup(constants, limits, gains, room_for_rows(constants)))
+        self._setup = Packed.of(Setup(
+            constants, limits, gains, room_for_rows(constants, len(robot.tips))))
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
         self._way = Way(robot, parameters, limits, constants, gains, getattr(self, '_way', None))
@@ -257,14 +266,32 @@ class Planner:
             self._given = things, Scene.of(things)
         return self._given[1]
 
+    def _of_tips(self, target: Mapping[str, Pose], due: Poses) -> Poses:
+        """Return the poses that tips shall go to; the others stay where they are due."""
+        if self._given_tips is None or self._given_tips[0] is not target:
+            self._given_tips = target, poses_of_tips(target, self.robot, due)
+        return self._given_tips[1]
+
+    def _tip_results(
+        self, poses: Poses, desired: Wish, result: Filtered,
+    ) -> tuple[TipResult, ...]:
+        """Return what a tick decided about each of several tips."""
+        tips = len(self.robot.tips)
+        if tips == 1:
+            return ()
+        shares = np.full(tips, result.scale) if result.scales is None else result.scales
+        errors = desired.task.error.reshape(tips, 6)
+        return tuple(TipResult(pose, errors[t].copy(), float(shares[t]))
+                     for t, pose in enumerate(poses.each))
+
     def _at_rest(self) -> _LastTick:
         return _LastTick(
             np.zeros(self.robot.n), None, np.zeros(self.robot.m), False, 0.0, 1.0, False)
 
     @property
     def reference(self) -> Pose | None:
-        """Where the tip should be now; None before the first tick after a reset."""
-        return self._last.reference
+        """Where the first tip should be now; None before the first tick after a reset."""
+        return None if self._last.reference is None else self._last.reference.first
 
     @property
     def posture_ahead(self) -> Array:
@@ -291,7 +318,8 @@ class Planner:
 
     def step(
         self, q: Array, twist: Array, scene: Scene | Sequence[Obstacle], dt: float,
-        ahead: Preview | TwistAhead | None = None, target: Target | None = None, *,
+        ahead: Preview | TwistAhead | None = None,
+        target: Target | Mapping[str, Pose] | None = None, *,
         news: Sequence[Sighting] = (), gently: bool = False,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`.
@@ -300,7 +328,7 @@ class Planner:
             q: (n,) measured joint positions [rad, m]. They may be late, as `drive.lag` and
                 `drive.dead_time` say, and noisy.
             twist: (6,) commanded tip twist in the command frame [m/s, rad/s]; entries of axes
-                that are not controlled do not count.
+                that are not controlled do not count. Of an arm with t tips (t, 6).
             scene: the obstacles. Pass the same object, or the same obstacles, while nothing
                 changes.
             dt: time until the next tick [s].
@@ -310,7 +338,8 @@ class Planner:
                 it the planner takes the present command as held.
             target: where to go, as fast as the limits allow: a pose of the tip, or joint positions
                 (n,) [rad, m]; or a chunk of either, to follow in its time: the same object in each
-                tick while it holds. None to follow the twist. With a target, `twist` and `ahead`
+                tick while it holds. Of an arm with several tips, tip → its pose, or joint
+                positions; tips that are not named stay where they are. None to follow the twist. With a target, `twist` and `ahead`
                 do not count.
             news: all targets that came since the last step, `target` the last of them, with the
                 ages of their stamps: of a stream whose messages come late or several at once.
@@ -323,18 +352,21 @@ class Planner:
                 within 1e-4 to 10 s.
         """
         # Sense: where the arm is, and the obstacles near it.
-        command, commanded = limited_twist(
+        command, commanded = limited_twists(
             twist, self._controlled, *self._parameters.twist_speeds)
         _check_tick(dt)
         scene = self._scene_of(scene)
-        target = None if target is None else checked_target(target, self.robot)
-        news = checked_news(news, target, self.robot)
+        if target is not None and not isinstance(target, Mapping):
+            target = checked_target(target, self.robot)
         arm = self.robot.kinematics_at(self._posture(q, dt))
-        pose, last = Pose(arm.tip_position, arm.tip_rotation), self._last
+        poses, last = arm.tips, self._last
+        if isinstance(target, Mapping):
+            target = self._of_tips(target, last.reference or poses)
+        news = checked_news(news, target, self.robot)
         around = self._watch.look(scene, arm, last.dq, dt)
 
         # Aim: at the target, out of the course of what moves, and along the joint path ahead.
-        aim = self._aim(Start(arm, last.reference or pose, command, last.dq, dt),
+        aim = self._aim(Start(arm, last.reference or poses, command, last.dq, dt),
                         commanded, around, ahead, target, news)
         start, joints = aim.start, aim.joints
 
@@ -382,8 +414,9 @@ class Planner:
             self._smoothing.sent.copy(), least_norm, homogeneous, desired.factor,
             result.scale, result.stage, '; '.join(filter(None, reasons)), fallbacks,
             desired.clearance_index, self._nearest(desired, around),
-            desired.manipulability, pose, desired.task.error, jerk_kept,
-            None if target is None else self._way.progress(target, arm))
+            desired.manipulability, poses.first, desired.task.error[:6], jerk_kept,
+            None if target is None else self._way.progress(target, arm),
+            self._tip_results(poses, desired, result))
 
     def _aim(
         self, start: Start, commanded: bool, around: Surroundings,
@@ -420,8 +453,8 @@ class Planner:
             return _Aim(start, commanded, None, aside, path, guided, says)
         # What the joints do is given: the tip's path is not kept, nor its null space used.
         self._look_ahead.reset()
-        pose = Pose(start.arm.tip_position, start.arm.tip_rotation)
-        return _Aim(start._replace(reference=pose), commanded, joints, None, None, 0.0, says)
+        there = start._replace(reference=start.arm.tips)
+        return _Aim(there, commanded, joints, None, None, 0.0, says)
 
     def _remember(
         self, result: Filtered, possible: float, desired: Wish, start: Start, by_joints: bool,
@@ -448,8 +481,7 @@ class Planner:
         if result.stage is Stage.SLIDING:  # as commanded, which no free way back overrules
             self._back.reset()
         if not by_target and (leaving or self._back.is_away):
-            tip = Pose(arm.tip_position, arm.tip_rotation)
-            if self._back.note(last.reference or tip, tip, followed, dt, leaving=leaving,
+            if self._back.note(last.reference or arm.tips, arm.tips, followed, dt, leaving=leaving,
                                lost=bool(self._way.lacks)):
                 reached = None
         self._look_ahead.note(result.scale, dt)
@@ -569,7 +601,7 @@ class Planner:
             request = Request(
                 wanted - left_out * desired.motions[1], homogeneous, jacobian,
                 task.commanded + task.feedback, task.feedback, task.turning, start.arm.q,
-                start.previous)
+                start.previous, self._share_of)
         if share < 1.0:
             request = request._replace(desired=share * wanted, twist=share * request.twist)
         result = safe_velocity(
@@ -603,8 +635,8 @@ class Planner:
 
     def _followed(
         self, result: Filtered, desired: Wish, start: Start,
-    ) -> tuple[Array, Pose]:
-        """Return the part (m,) of the path that is followed, and the reference pose after it.
+    ) -> tuple[Array, Poses]:
+        """Return the part (m,) of the path that is followed, and the reference poses after it.
 
         Neither the feedback nor motion that yields is a part of it.
         """
@@ -616,9 +648,10 @@ class Planner:
         elif result.stage is Stage.SLIDING:  # the path goes on from where the tip gets to
             followed = jacobian @ result.dq + task.turning - task.feedback
         else:
-            followed = result.scale * task.commanded + result.residual * self._last.followed
+            shares = result.scale if result.scales is None else result.scales[self._share_of]
+            followed = shares * task.commanded + result.residual * self._last.followed
         reference = reference_of(start, constants, self._gains)
-        return followed, followed_pose(
+        return followed, followed_poses(
             reference, followed, constants.rows, constants.in_tool, start.dt)
 
     def _reason(

@@ -30,6 +30,18 @@ class Nearest(NamedTuple):
     distance: float
 
 
+class TipResult(NamedTuple):
+    """What one tick decided about one of several tips.
+
+    Attributes:
+        pose, path_error, scale: of this tip, as in `StepResult`.
+    """
+
+    pose: Pose
+    path_error: Array
+    scale: float
+
+
 class StepResult(NamedTuple):
     """What one tick decided; arrays are the caller's to keep.
 
@@ -52,6 +64,8 @@ class StepResult(NamedTuple):
         path_error: (6,) reference pose minus `pose` before this tick, in command axes [m, rad].
         jerk_kept: whether the jerk limits hold; where something moves in, they give way.
         progress: towards the target, None without one.
+        tips: of an arm with several tips, what was decided about each; empty with one. `pose` and
+            `path_error` are the first tip's then, and `scale` the least.
     """
 
     dq: Array
@@ -69,3 +83,4 @@ class StepResult(NamedTuple):
     path_error: Array
     jerk_kept: bool = True
     progress: Progress | None = None
+    tips: tuple[TipResult, ...] = ()

@@ -21,10 +21,10 @@ from redundant_planner.core.obstacles.self_collision import near_links, SelfPair
 from redundant_planner.core.obstacles.shapes import ELLIPSOID
 from redundant_planner.core.redundancy import criteria, null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
-from redundant_planner.core.redundancy.reference import pose_after, Start, Task, task_of
+from redundant_planner.core.redundancy.reference import poses_after, Start, Task, task_of
 from redundant_planner.core.robot.jacobian import derivative_between
 from redundant_planner.core.robot.kinematics import Kinematics, Links
-from redundant_planner.core.robot.se3 import Place, place, Pose
+from redundant_planner.core.robot.se3 import Place, place, Poses
 from redundant_planner.core.safety import barriers as rows
 from redundant_planner.core.safety.barriers import barriers_in_compiled, Rows
 from redundant_planner.core.safety.limits import Limits, stopping_time
@@ -77,8 +77,8 @@ class Wish(NamedTuple):
 
     Attributes:
         motions: (3, n) q̇ of Eq. 1, J⁺ẋ and k P∇H, see `StepResult`.
-        task: what the tip shall do.
-        reached: the reference pose after the tick if the whole command is followed.
+        task: what the tips shall do.
+        reached: their reference poses after the tick if the whole command is followed.
         factor, clearance_index, manipulability: see `StepResult`.
         rows_used: how many of the setup's rows are barriers.
         intruded: whether an obstacle moves towards the arm, or the arm was found too close.
@@ -91,7 +91,7 @@ class Wish(NamedTuple):
 
     motions: Matrix
     task: Task
-    reached: Pose
+    reached: Poses
     factor: float
     clearance_index: float
     manipulability: float
@@ -141,14 +141,14 @@ def _total_gradient(
     if gains.criteria_k_f > 0.0:
         _, shortest_path = criteria.shortest_path_index(least.motion, derivative_between(
             null_space.dual(parts, least.inverse, least.twist), arm.tip_jacobian,
-            scaling * least.motion, arm.tip_rotation, constants.in_tool, constants.rows))
+            scaling * least.motion, arm.tip_rotations, constants.in_tool, constants.rows))
     nearness = parts.singular_values[-1] / max(gains.singularity_margin, 1e-9) - 1.0
     if gains.criteria_k_m > 0.0 and nearness < 1.0:
         changes = np.empty(parts.right.shape)
         for i in range(len(changes)):
             changes[i] = derivative_between(
                 parts.left[:, i], arm.tip_jacobian, scaling * parts.right[i],
-                arm.tip_rotation, constants.in_tool, constants.rows)
+                arm.tip_rotations, constants.in_tool, constants.rows)
         _, manipulability = criteria.manipulability_index(parts, changes)
         manipulability = criteria.fade(nearness) * manipulability
     if gains.posture_weight > 0.0:
@@ -222,22 +222,22 @@ def _blocked(
 
 def wish(start: Start, world: World, setup: Packed[Setup]) -> Wish:
     """Return J⁺ẋ + k P∇H, and the barriers around it."""
-    m, n = start.arm.jacobian.shape
-    motions, task = np.empty((3, n)), Task(np.empty((3, m)), np.empty(6))
-    reached = Pose(np.empty(3), np.empty((3, 3)))
+    (m, n), tips = start.arm.jacobian.shape, len(start.arm.tip_positions)
+    motions, task = np.empty((3, n)), Task(np.empty((3, m)), np.empty(6 * tips))
+    reached = Poses(np.empty((tips, 3)), np.empty((tips, 3, 3)))
     return Wish(motions, task, reached, *_wish(start, world, setup, motions, task, reached))
 
 
 @entry
 def _wish(
     start: Start, world: World, setup: Packed[Setup], motions: OutMatrix, asked: Task,
-    reached: Pose,
+    reached: Poses,
 ) -> tuple[float, float, float, int, bool, int, int, float, float, bool, bool, float]:
     """Fill the arrays of a `Wish`, `asked` being its task; return the rest of it."""
     constants, limits, gains, room = setup.value
     arm, obstacles, scaling, dt = start.arm, world.obstacles, constants.scaling, start.dt
 
-    # ẋ: the command plus the feedback to the reference pose.
+    # ẋ: the command plus the feedback to the reference poses.
     task, reference = task_of(start, constants, gains)
 
     # J⁺ẋ, in coordinates in which every joint costs the same.
@@ -251,7 +251,8 @@ def _wish(
 
     # What the arm may come close to in this tick.
     can = pace(start.previous, limits, constants, gains.clearance_gain, dt)
-    links = Links(arm.segment_start, arm.segment_end, arm.joint_screws, constants.supports)
+    links = Links(arm.segment_start, arm.segment_end, arm.joint_screws, constants.supports,
+                  constants.parents)
     near = near_pairs(
         obstacles, links, can.fastest, can.link_speeds, can.rate,
         gains.clearance_influence_distance,
@@ -281,7 +282,8 @@ def _wish(
 
     # The barriers. To evade, any null-space speed is better than leaving the path.
     intruded = rows.is_intruded(near, obstacles)
-    found = rows.cleared(room, rows.most_rows(len(near.acting), len(own.pairs)))
+    found = rows.cleared(room, rows.most_rows(
+        len(near.acting), len(own.pairs), len(arm.tip_positions)))
     at = rows.obstacle_rows(
         found, 0, near, obstacles, gains.clearance_lead,
         rows.strayed_distances(world.strayed, constants))
@@ -299,7 +301,7 @@ def _wish(
         share == 1.0 and parts.singular_values[-1] >= gains.singularity_damping_threshold
         and rows.admissible(
             dq, arm.q, start.previous, limits, barriers, gains.clearance_gain, dt))
-    then = pose_after(reference, commanded, constants.rows, constants.in_tool, dt)
+    then = poses_after(reference, commanded, constants.rows, constants.in_tool, dt)
     reached.position[:], reached.rotation[:] = then.position, then.rotation
     asked.twists[:], asked.error[:] = task.twists, task.error
     return (

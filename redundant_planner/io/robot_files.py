@@ -45,7 +45,7 @@ _ARM_JOINTS = 6
 
 
 class Robot(model.Robot):
-    """A robot arm: a chain of joints from base to tip, their limits, and the links' shapes.
+    """A robot arm, or several on one body: joints from base to tips, limits, and link shapes.
 
     Every link is a set of capsules. `from_urdf` fits them to the collision geometry; the planner
     keeps obstacles away from the capsules, so a link without one is unprotected.
@@ -54,9 +54,10 @@ class Robot(model.Robot):
         name: the URDF's robot name.
         urdf: the URDF's text.
         base_frame: the link that twists, obstacles and poses refer to.
-        tip_frame: the link whose origin is the end effector.
-        joint_names: the n joints of the chain, base first.
-        axes: the m controlled axes, out of vx, vy, vz, wx, wy, wz.
+        tip_frame: the link whose origin is the end effector, the first of `tips`.
+        tips: all t of them.
+        joint_names: the n joints, each after the one that carries it.
+        axes: the controlled axes of the first tip, out of vx, vy, vz, wx, wy, wz.
         command_frame: 'base' or 'tool', the axes in which a twist is expressed.
         position_min: (n,) [rad, m], infinite for continuous joints.
         position_max: (n,) [rad, m], likewise.
@@ -68,10 +69,11 @@ class Robot(model.Robot):
 
     @classmethod
     def from_urdf(
-        cls, path: str | Path, tip_frame: str, *,
+        cls, path: str | Path, tip_frame: str = '', *,
+        tips: Sequence[str] = (),
         base_frame: str = '',
         locked_positions: Mapping[str, float] | None = None,
-        axes: Sequence[str] = AXES,
+        axes: model.Axes = AXES,
         command_frame: str = 'base',
         position_limits: Mapping[str, tuple[float, float]] | None = None,
         velocity_max: Sequence[float] | float | None = None,
@@ -90,10 +92,11 @@ class Robot(model.Robot):
                 xacro is installed. Its meshes may be relative to it, or in a package that it lies
                 in or that is installed.
             tip_frame: the link whose origin is the end effector.
+            tips: such links of a body with several arms, instead of `tip_frame`.
             base_frame: the link that twists, obstacles and poses refer to; empty for the root.
             locked_positions: joint name → position at which it is held [rad, m]. Other joints
                 outside the chain are held at 0, or at the limit nearest to it.
-            axes: the controlled axes; the null space may use the others.
+            axes: the controlled axes, or tip → axes; the null space may use the others.
             command_frame: 'base' or 'tool', the axes in which a twist is expressed.
             position_limits: joint name → its lowest and highest position [rad, m], where the
                 drives' are narrower than the URDF's.
@@ -116,8 +119,8 @@ class Robot(model.Robot):
 
         def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
             return cls(
-                urdf, tip_frame, base_frame=base_frame, locked_positions=locked_positions,
-                axes=axes, command_frame=command_frame, position_limits=position_limits,
+                urdf, tip_frame, tips=tips, base_frame=base_frame,
+                locked_positions=locked_positions, axes=axes, command_frame=command_frame, position_limits=position_limits,
                 velocity_max=velocity_max, acceleration_max=acceleration_max, jerk_max=jerk_max,
                 capsules=shapes, link_radius=link_radius)
 

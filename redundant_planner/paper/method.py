@@ -159,14 +159,15 @@ class PaperPlanner:
         smallest = float(rho[at])
         gradient, _ = clearance_gradients(
             points_only, pairs, (np.array([at[0]]), np.array([at[1]])),
-            Links(points, points, arm.joint_screws, np.tril(np.ones((len(points), n)))))
+            Links(points, points, arm.joint_screws, np.tril(np.ones((len(points), n))),
+                  self.robot.chain.parents))
         return pseudo_distance(smallest), 2.0 * (smallest + 1.0) * gradient[0]  # ∂S/∂ρ = 2 (ρ + 1)
 
     def _shortest_path_gradient(self, arm: Kinematics, x_dot: Array, least_norm: Array) -> Array:
         """Return the gradient (n,) of H_f = ½‖J⁺ẋ‖²: −yᵀ (∂J/∂q_k) J⁺ẋ with y = (JJᵀ)⁻¹ẋ."""
         y = np.linalg.pinv(arm.jacobian @ arm.jacobian.T) @ x_dot
         return -y @ derivative_times(
-            arm.tip_jacobian, least_norm, arm.tip_rotation, self.robot.in_tool, self.robot.rows)
+            arm.tip_jacobian, least_norm, arm.tip_rotations, self.robot.in_tool, self.robot.rows)
 
     def _nearest(self, arm: Kinematics, scene: Scene) -> Nearest | None:
         """Return the nearest pair of whole links and obstacles, without any margin."""

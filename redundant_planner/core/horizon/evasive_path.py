@@ -25,12 +25,12 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.horizon.path_linearised import smallest_of
-from redundant_planner.core.horizon.poses_ahead import error_to, Poses
+from redundant_planner.core.horizon.poses_ahead import error_to, poses_at
 from redundant_planner.core.kernels import entry, kernel, Matrix, OutMatrix, OutVector, Vector
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs_along, NearAlong
 from redundant_planner.core.robot.kinematics import along_in, Chain, KinematicsAlong
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
@@ -197,12 +197,13 @@ def _add_errors(squares: _Squares, arms: KinematicsAlong, due: Due, chain: Chain
                 ) -> tuple[float, float]:
     """Add how far the tip is from its path; return twice the value, and the largest ‖e‖."""
     along, price, largest = due.along, 0.0, 0.0
-    m, n = arms.jacobian.shape[1:]
+    (m, n), tips = arms.jacobian.shape[1:], len(chain.tip_joints)
     gradient = np.empty(n)
     for i in range(len(arms.q)):
         error = error_to(
-            Pose(due.poses.position[i], due.poses.rotation[i]),
-            Pose(arms.tip_position[i], arms.tip_rotation[i]), chain.rows, chain.in_tool)
+            poses_at(due.poses, i, tips),
+            poses_at(Poses(arms.tip_positions, arms.tip_rotations), i, tips), chain.rows,
+            chain.in_tool)
         lag = 0.0
         for r in range(m):
             lag += along[r] * error[r]

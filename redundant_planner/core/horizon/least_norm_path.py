@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
-from redundant_planner.core.horizon.poses_ahead import error_to, Poses
+from redundant_planner.core.horizon.poses_ahead import error_to, poses_at
 from redundant_planner.core.kernels import compiled, entry, kernel, Matrix, Vector
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.cone import Cone
@@ -20,7 +20,7 @@ from redundant_planner.core.robot.kinematics import (
     new_places,
 )
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.safety.limits import Limits
 
 Array = npt.NDArray[np.float64]
@@ -101,13 +101,14 @@ def step_to_pose(orthogonal: Matrix, upper: Matrix, error: Vector, damping: floa
 @kernel
 def least_norm_nodes(q: Vector, poses: Poses, chain: Chain, joints: PathJoints) -> Array:
     """Return what `least_norm_path` does, of an arm's chain."""
-    count = len(poses.position)
+    tips = len(chain.tip_joints)
+    count = len(poses.position) // tips
     nodes = np.empty((count, len(q)))
-    arm, places = new_kinematics_compiled(q, len(chain.rows), 0), new_places(len(q))
+    arm, places = new_kinematics_compiled(q, len(chain.rows), tips, 0), new_places(len(q))
     for i in range(count):
         fill_tip(chain, places, arm)
-        error = error_to(Pose(poses.position[i], poses.rotation[i]),
-                         Pose(arm.tip_position, arm.tip_rotation), chain.rows, chain.in_tool)
+        error = error_to(poses_at(poses, i, tips), Poses(arm.tip_positions, arm.tip_rotations),
+                         chain.rows, chain.in_tool)
         orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * joints.scaling)
         step = step_to_pose(orthogonal, upper, error, SQUARED_DAMPING)
         for j in range(len(q)):

@@ -105,7 +105,7 @@ class LookAhead:
         self._waited = False  # what is due, for a tick
         self._prepared = False  # whether the arm has just started on a path planned before
         self._age = 0.0  # of the path, or of the attempt to find one [s]
-        self._command: Array = np.zeros(6)
+        self._command: Array = np.zeros(len(self._controlled))
         self._growth = 0.0
         self._stay = 0.0
         self._scale = 1.0
@@ -182,7 +182,7 @@ class LookAhead:
     def _asked(self, ahead: TwistAhead, times: Array) -> Array:
         """Return the twists (N, 6) that are said to come at times (N + 1,); check their number."""
         twists = np.asarray(ahead(times), dtype=float)
-        if twists.shape != (len(times) - 1, 6):
+        if twists.shape != (len(times) - 1, len(self._controlled)):
             raise StateError(
                 f'ahead returned twists of shape {twists.shape} for {len(times)} times; it must '
                 f'return one from each time to the next, ({len(times) - 1}, 6)')

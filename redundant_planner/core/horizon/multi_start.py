@@ -20,7 +20,6 @@ import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import least_norm_nodes, PathJoints
 from redundant_planner.core.horizon.path_qp import intrusion_price, PathQP, Plan
-from redundant_planner.core.horizon.poses_ahead import Poses
 from redundant_planner.core.kernels import compiled, entry, Matrix, Stack, Vector
 from redundant_planner.core.obstacles.clearance import measure, Pairs
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -32,6 +31,7 @@ from redundant_planner.core.robot.kinematics import (
     new_kinematics_compiled,
     new_places,
 )
+from redundant_planner.core.robot.se3 import Poses
 
 Array = npt.NDArray[np.float64]
 
@@ -172,13 +172,13 @@ def _look_aside(
     """
     posture, step = start.copy(), aside.copy()
     if size > 0.0:
-        arm = new_kinematics_compiled(start, len(chain.rows), 0)
+        arm = new_kinematics_compiled(start, len(chain.rows), len(chain.tip_joints), 0)
         fill_tip(chain, new_places(len(start)), arm)
         step = null_space.project(
             null_space.decompose(arm.jacobian * joints.scaling), aside / joints.scaling)
         step *= joints.scaling / max(math.sqrt(np.sum(step * step)), 1e-9)
-        pose = Poses(arm.tip_position.reshape(1, 3), arm.tip_rotation.reshape(1, 3, 3))
-        posture = least_norm_nodes(start + size * step, pose, chain, joints)[0].copy()
+        tips = Poses(arm.tip_positions, arm.tip_rotations)
+        posture = least_norm_nodes(start + size * step, tips, chain, joints)[0].copy()
     nodes = least_norm_nodes(posture, problem.poses, chain, joints)
     begin, end = links_along(nodes, chain)
     price, shape = np.zeros(len(nodes)), problem.obstacles.smallest.shape

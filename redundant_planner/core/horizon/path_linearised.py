@@ -19,14 +19,14 @@ from redundant_planner.core.horizon.least_norm_path import (
     SQUARED_DAMPING,
     step_to_pose,
 )
-from redundant_planner.core.horizon.poses_ahead import error_to, Poses
+from redundant_planner.core.horizon.poses_ahead import error_to, poses_at
 from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs_along
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.cone import cone_room
 from redundant_planner.core.robot.kinematics import along_in, Chain, KinematicsAlong
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.robot.turns import short_way
 
 Array = npt.NDArray[np.float64]
@@ -110,13 +110,14 @@ def _followed(
 ) -> _Followed:
     """Take a damped least-norm step from every node to its pose, see `linearised`."""
     count, n = arms.q.shape
-    free = n - len(chain.rows)
+    free, tips = n - len(chain.rows), len(chain.tip_joints)
     base, steps, basis = np.empty((count, n)), np.empty((count, n)), np.empty((count, free, n))
     largest = 0.0
     for i in range(count):
         error = error_to(
-            Pose(poses.position[i], poses.rotation[i]),
-            Pose(arms.tip_position[i], arms.tip_rotation[i]), chain.rows, chain.in_tool)
+            poses_at(poses, i, tips),
+            poses_at(Poses(arms.tip_positions, arms.tip_rotations), i, tips), chain.rows,
+            chain.in_tool)
         largest = max(largest, np.abs(error).max())
         orthogonal, upper = null_space.orthogonal_factors(arms.jacobian[i] * scaling)
         steps[i] = scaling * step_to_pose(orthogonal, upper, error, SQUARED_DAMPING)
@@ -261,16 +262,18 @@ def linearised(
         q, followed.base, followed.basis, times, joints)
     near = near_pairs_along(obstacles, arms, chain, times[1:], _PAIRS_WITHIN)
     pairs = len(near.postures)
-    rows = pairs + (count if joints.cone.angle < math.pi else 0)
+    tips = len(chain.tip_joints)
+    rows = pairs + (count * tips if joints.cone.angle < math.pi else 0)
     gradients, bounds, at = np.empty((rows, n)), np.empty(rows), np.empty(rows, np.intp)
     for i in range(rows):
         if i < pairs:
             at[i], gradients[i] = near.postures[i], near.gradient[i]
             bounds[i] = CLEARANCE_RESERVE / near.smallest[i] - near.normalized_distance[i]
         else:
-            at[i] = i - pairs
+            at[i], tip = (i - pairs) // tips, (i - pairs) % tips
             room, gradients[i] = cone_room(
-                joints.cone, arms.tip_rotation[at[i]], arms.joint_screws[at[i]])
+                joints.cone, arms.tip_rotations[i - pairs],
+                arms.tip_jacobian[at[i], 6 * tip:6 * tip + 6])
             bounds[i] = -room
         for j in range(n):
             bounds[i] -= gradients[i, j] * followed.steps[at[i], j]

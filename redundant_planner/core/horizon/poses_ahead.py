@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
+from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Vector
 from redundant_planner.core.robot import se3
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import one_pose, Poses
 
 Array = npt.NDArray[np.float64]
 
@@ -29,43 +26,41 @@ def middles(times: Vector) -> Array:
     return 0.5 * (times[:-1] + times[1:])
 
 
-class Poses(NamedTuple):
-    """Tip poses in the base frame.
-
-    Attributes:
-        position: (N, 3) [m].
-        rotation: (N, 3, 3) tip axes in the base frame.
-    """
-
-    position: Matrix
-    rotation: Stack
-
-
-def poses_of(poses: Sequence[Pose]) -> Poses:
-    """Return single poses together."""
-    return Poses(np.array([pose.position for pose in poses]),
-                 np.array([pose.rotation for pose in poses]))
-
-
 @entry
-def poses_ahead(start: Pose, twists: Matrix, times: Vector, in_tool: bool) -> Poses:
-    """Return where the tip has to be at times[1:].
+def poses_ahead(start: Poses, twists: Matrix, times: Vector, in_tool: bool) -> Poses:
+    """Return where the tips have to be at times[1:], all of them at the first time first.
 
     Args:
-        start: the reference pose at times[0].
-        twists: (N, 6) the mean ones from each time to the next [m/s, rad/s].
+        start: the reference poses at times[0].
+        twists: (N, 6 t) the mean ones from each time to the next [m/s, rad/s].
         times: (N + 1,) from now [s].
         in_tool: whether twists are in tool axes.
     """
-    position, rotation = np.empty((len(twists), 3)), np.empty((len(twists), 3, 3))
-    pose = start
-    for i in range(len(twists)):
-        pose = se3.integrate(pose, twists[i], times[i + 1] - times[i], in_tool)
-        position[i], rotation[i] = pose
-    return Poses(position, rotation)
+    count, tips = len(twists), len(start.position)
+    ahead = Poses(np.empty((count * tips, 3)), np.empty((count * tips, 3, 3)))
+    for t in range(tips):
+        pose = one_pose(start, t)
+        for i in range(count):
+            pose = se3.integrate(
+                pose, twists[i, 6 * t:6 * t + 6], times[i + 1] - times[i], in_tool)
+            ahead.position[i * tips + t], ahead.rotation[i * tips + t] = pose
+    return ahead
 
 
 @kernel
-def error_to(due: Pose, tip: Pose, rows: Indices, in_tool: bool) -> Array:
-    """Return the controlled error (m,) of a tip pose against the one that is due [m, rad]."""
-    return se3.pose_error(due, tip, in_tool)[rows]
+def poses_at(poses: Poses, node: int, tips: int) -> Poses:
+    """Return the poses of the tips at a node, of those at all nodes, as views."""
+    first, last = node * tips, (node + 1) * tips
+    return Poses(poses.position[first:last], poses.rotation[first:last])
+
+
+@kernel
+def error_to(due: Poses, tips: Poses, rows: Indices, in_tool: bool) -> Array:
+    """Return the controlled error (m,) of tips' poses against those that are due [m, rad]."""
+    error = np.empty(len(rows))
+    for t in range(len(tips.position)):
+        apart = se3.pose_error(one_pose(due, t), one_pose(tips, t), in_tool)
+        for i in range(len(rows)):
+            if 0 <= rows[i] - 6 * t < 6:
+                error[i] = apart[rows[i] - 6 * t]
+    return error

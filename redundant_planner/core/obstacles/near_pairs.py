@@ -354,7 +354,7 @@ def near_pairs_along(
     i = 0
     for at in range(count):
         arm = Links(arms.segment_start[at], arms.segment_end[at], arms.joint_screws[at],
-                    chain.supports)
+                    chain.supports, chain.parents)
         for link in range(links):
             for obstacle in range(k):
                 if distance[at, link, obstacle] < within:

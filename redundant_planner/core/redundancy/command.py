@@ -40,6 +40,30 @@ def limited_twist(
     return command, largest > 0.0
 
 
+def limited_twists(
+    twists: Array, controlled: Array, linear_max: float, angular_max: float,
+) -> tuple[Array, bool]:
+    """Return what `limited_twist` does, of t tips: (6 t,), and whether any is to move.
+
+    Args:
+        twists: (t, 6), or (6,) of one tip.
+        controlled: (6 t,).
+        linear_max, angular_max: of each tip.
+
+    Raises:
+        StateError: there are not six finite entries for each tip.
+    """
+    if len(controlled) == 6:
+        return limited_twist(twists, controlled, linear_max, angular_max)
+    given = np.asarray(twists, dtype=float)
+    if given.shape != (len(controlled) // 6, 6):
+        raise StateError(f'twists have shape {given.shape}; an arm with {len(controlled) // 6} '
+                         f'tips takes ({len(controlled) // 6}, 6)')
+    found = [limited_twist(one, part, linear_max, angular_max)
+             for one, part in zip(given, controlled.reshape(-1, 6))]
+    return np.concatenate([one for one, _ in found]), any(moves for _, moves in found)
+
+
 @compiled
 def _limit_speed(
     command: OutVector, controlled: Vector, linear_max: float, angular_max: float,

@@ -1,4 +1,4 @@
-"""The reference pose, and the feedback that leads the tip back to it (docs/derivations.md).
+"""The reference poses, and the feedback that leads the tips back to them (docs/derivations.md).
 
 The reference is where the tip would be had every followed twist been integrated exactly.
 """
@@ -15,7 +15,7 @@ from redundant_planner.core.kernels import entry, Indices, kernel, Matrix, Vecto
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.jacobian import jdot_qdot
 from redundant_planner.core.robot.kinematics import Kinematics
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import one_pose, Pose, Poses
 
 Array = npt.NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class Task(NamedTuple):
 
     Attributes:
         twists: (3, m) the three below.
-        error: (6,) reference pose minus the tip's.
+        error: (6 t,) reference poses minus the tips'.
     """
 
     twists: Matrix
@@ -55,17 +55,22 @@ class Start(NamedTuple):
 
     Attributes:
         arm: at the measured posture.
-        reference: pose before the tick.
-        command: (6,) the twist [m/s, rad/s].
+        reference: poses of the tips before the tick.
+        command: (6 t,) their twists [m/s, rad/s].
         previous: (n,) velocity of the last tick [rad/s, m/s].
         dt: [s].
     """
 
     arm: Kinematics
-    reference: Pose
+    reference: Poses
     command: Vector
     previous: Vector
     dt: float
+
+    @property
+    def first_reference(self) -> Pose:
+        """The first tip's reference pose."""
+        return self.reference.first
 
 
 @kernel
@@ -86,70 +91,80 @@ class Caps(NamedTuple):
 
 @kernel
 def _brought_along(
-    reference: Pose, tip: Pose, rows: Indices, in_tool: bool, caps: Caps,
-) -> tuple[Vector, Pose]:
-    """Return the error (6,) of the tip, and the reference, which is brought along if too far.
+    reference: Poses, tips: Poses, rows: Indices, in_tool: bool, caps: Caps,
+) -> tuple[Vector, Poses]:
+    """Return the error (6 t,) of the tips, and references, which are brought along if too far.
 
     Args:
-        reference, tip: the poses.
+        reference, tips: the poses.
         rows, in_tool: see `RobotConstants`; other axes are brought along at once.
-        caps: how far the reference may be.
+        caps: how far a reference may be.
     """
-    apart = se3.pose_error(reference, tip, in_tool)
-    error = np.zeros(6)
-    for row in rows:
-        error[row] = apart[row]
-    kept = se3.bounded(error, caps.distance, caps.angle)
-    if len(rows) < 6 or _apart(kept, error) > 0.0:
-        reference = se3.displaced(tip, kept, in_tool)
-    return kept, reference
+    count = len(tips.position)
+    errors = np.empty(6 * count)
+    brought = Poses(reference.position.copy(), reference.rotation.copy())
+    for t in range(count):
+        tip = one_pose(tips, t)
+        apart = se3.pose_error(one_pose(reference, t), tip, in_tool)
+        error, controlled = np.zeros(6), 0
+        for row in rows:
+            if 0 <= row - 6 * t < 6:
+                error[row - 6 * t], controlled = apart[row - 6 * t], controlled + 1
+        kept = se3.bounded(error, caps.distance, caps.angle)
+        if controlled < 6 or _apart(kept, error) > 0.0:
+            there = se3.displaced(tip, kept, in_tool)
+            brought.position[t], brought.rotation[t] = there.position, there.rotation
+        errors[6 * t:6 * t + 6] = kept
+    return errors, brought
 
 
 @kernel
-def task_of(start: Start, constants: RobotConstants, gains: Gains) -> tuple[Task, Pose]:
-    """Return what the tip shall do in this tick, ẋ, and the reference pose.
+def task_of(start: Start, constants: RobotConstants, gains: Gains) -> tuple[Task, Poses]:
+    """Return what the tips shall do in this tick, ẋ, and the reference poses.
 
     A reference that is out of reach, or has drifted on axes that are not controlled, is brought
     along.
     """
     arm, rows = start.arm, constants.rows
     kept, reference = _brought_along(
-        start.reference, Pose(arm.tip_position, arm.tip_rotation), rows, constants.in_tool,
+        start.reference, Poses(arm.tip_positions, arm.tip_rotations), rows, constants.in_tool,
         Caps(gains.feedback_distance, gains.feedback_angle))
-    correction = se3.feedback(
-        kept, gains.feedback_gain, gains.feedback_speed, gains.feedback_angular_speed)
-    nothing = np.zeros(6)
-    if _apart(start.command, nothing) == 0.0 and _apart(kept, nothing) < _AT_REST:
-        correction[:] = 0.0
+    nothing, correction = np.zeros(6), np.zeros(len(kept))
+    for first in range(0, len(kept), 6):
+        error = kept[first:first + 6]
+        if _apart(start.command[first:first + 6], nothing) > 0.0 or not (
+                _apart(error, nothing) < _AT_REST):
+            correction[first:first + 6] = se3.feedback(
+                error, gains.feedback_gain, gains.feedback_speed, gains.feedback_angular_speed)
     twists = np.zeros((3, len(rows)))
     for i in range(len(rows)):
         twists[0, i], twists[1, i] = start.command[rows[i]], correction[rows[i]]
     if gains.feedback_gain > 0.0:
         # J turns while the arm moves: half of that belongs to the tick ahead.
         twists[2] = 0.5 * start.dt * jdot_qdot(
-            arm.tip_jacobian, start.previous, arm.tip_rotation, constants.in_tool, rows)
+            arm.tip_jacobian, start.previous, arm.tip_rotations, constants.in_tool, rows)
     return Task(twists, kept), reference
 
 
-def reference_of(start: Start, constants: RobotConstants, gains: Gains) -> Pose:
-    """Return the reference pose of a tick, as `task_of` does, for Python."""
+def reference_of(start: Start, constants: RobotConstants, gains: Gains) -> Poses:
+    """Return the reference poses of a tick, as `task_of` does, for Python."""
     return _reference(
-        start.reference, Pose(start.arm.tip_position, start.arm.tip_rotation), constants.rows,
-        constants.in_tool, Caps(gains.feedback_distance, gains.feedback_angle))
+        start.reference, start.arm.tips, constants.rows, constants.in_tool,
+        Caps(gains.feedback_distance, gains.feedback_angle))
 
 
 @entry
 def _reference(
-    reference: Pose, tip: Pose, rows: Indices, in_tool: bool, caps: Caps,
-) -> Pose:
-    return _brought_along(reference, tip, rows, in_tool, caps)[1]
+    reference: Poses, tips: Poses, rows: Indices, in_tool: bool, caps: Caps,
+) -> Poses:
+    return _brought_along(reference, tips, rows, in_tool, caps)[1]
 
 
 @kernel
-def pose_after(
-    reference: Pose, followed: Vector, rows: Indices, in_tool: bool, dt: float,
-) -> Pose:
-    """Return a reference pose after the part (m,) of the path that was followed.
+def poses_after(
+    reference: Poses, followed: Vector, rows: Indices, in_tool: bool, dt: float,
+) -> Poses:
+    """Return reference poses after the part (m,) of the path that was followed.
 
     Args:
         reference: before the tick.
@@ -157,15 +172,19 @@ def pose_after(
         rows, in_tool: see `RobotConstants`.
         dt: [s].
     """
-    twist = np.zeros(6)
+    twists, count = np.zeros(6 * len(reference.position)), len(reference.position)
     for i in range(len(rows)):
-        twist[rows[i]] = followed[i]
-    return se3.integrate(reference, twist, dt, in_tool)
+        twists[rows[i]] = followed[i]
+    after = Poses(np.empty((count, 3)), np.empty((count, 3, 3)))
+    for t in range(count):
+        pose = se3.integrate(one_pose(reference, t), twists[6 * t:6 * t + 6], dt, in_tool)
+        after.position[t], after.rotation[t] = pose.position, pose.rotation
+    return after
 
 
 @entry
-def followed_pose(
-    reference: Pose, followed: Vector, rows: Indices, in_tool: bool, dt: float,
-) -> Pose:
-    """Do what `pose_after` does, for Python."""
-    return pose_after(reference, followed, rows, in_tool, dt)
+def followed_poses(
+    reference: Poses, followed: Vector, rows: Indices, in_tool: bool, dt: float,
+) -> Poses:
+    """Do what `poses_after` does, for Python."""
+    return poses_after(reference, followed, rows, in_tool, dt)

@@ -76,9 +76,9 @@ class Capsule:
 
 
 def straight_capsules(
-    model: pin.Model, tip_id: int, radius: float | None,
+    model: pin.Model, tip_ids: Sequence[int], radius: float | None,
 ) -> list[Capsule]:
-    """Return straight capsules between consecutive joint origins, the last one to the tip.
+    """Return straight capsules from each joint's origin to the next ones', the last ones to tips.
 
     Joints that share an origin have no link between them. They get a capsule only if the radius
     is positive.
@@ -89,11 +89,17 @@ def straight_capsules(
     if radius is None:
         raise RobotError("the links have no shapes: give 'capsules', or 'link_radius' for "
                          'straight ones [m], 0 for bare lines')
-    names = tuple(model.names)[1:]
-    ends = [model.jointPlacements[i + 1].translation for i in range(1, len(names))]
-    ends.append(model.frames[tip_id].placement.translation)
-    return [Capsule(f'{name}_link', name, np.zeros(3), np.array(end), radius)
-            for name, end in zip(names, ends) if radius > 0.0 or np.any(end != 0.0)]
+    ends: dict[str, list[Array]] = {name: [] for name in tuple(model.names)[1:]}
+    for joint in range(1, model.njoints):
+        if model.parents[joint]:
+            ends[model.names[model.parents[joint]]].append(
+                np.array(model.jointPlacements[joint].translation))
+    for tip in tip_ids:
+        frame = model.frames[tip]
+        ends[model.names[frame.parentJoint]].append(np.array(frame.placement.translation))
+    return [Capsule(f'{name}_link' + (f'/{i}' if i else ''), name, np.zeros(3), end, radius)
+            for name, others in ends.items() for i, end in enumerate(others)
+            if radius > 0.0 or np.any(end != 0.0)]
 
 
 def placed(model: pin.Model, capsules: Sequence[Capsule]) -> tuple[Indices, Array]:
@@ -118,9 +124,29 @@ def placed(model: pin.Model, capsules: Sequence[Capsule]) -> tuple[Indices, Arra
     return np.array(joints, dtype=np.intp), np.array(ends).reshape(-1, 3, 2)
 
 
-def supports_of(capsule_joint: Indices, joint_count: int) -> Array:
-    """Return 1 where a joint moves a capsule, else 0, (c, n)."""
-    return (np.arange(joint_count) < capsule_joint[:, None]).astype(float)
+def supports_of(joints: Indices, parents: Indices) -> Array:
+    """Return 1 where a joint moves what another one carries, else 0, (c, n).
+
+    Args:
+        joints: (c,) the joints that carry it, counted from 1; 0 for the base.
+        parents: (n,) see `Chain`.
+    """
+    moves = np.zeros((len(parents) + 1, len(parents)))
+    for j, before in enumerate(parents):
+        moves[j + 1] = moves[before]
+        moves[j + 1, j] = 1.0
+    return moves[joints]
+
+
+def joints_between(one: Indices, other: Indices, parents: Indices) -> Indices:
+    """Return how many joints move one of two capsules against the other, (p,).
+
+    Args:
+        one, other: (p,) the joints that carry them, see `supports_of`.
+        parents: (n,) see `Chain`.
+    """
+    apart = supports_of(one, parents) != supports_of(other, parents)
+    return np.count_nonzero(apart, axis=1)
 
 
 def lever_arm_bounds(model: pin.Model, capsule_joint: Indices, capsule_ends: Array) -> Array:
@@ -143,16 +169,15 @@ def lever_arm_bounds(model: pin.Model, capsule_joint: Indices, capsule_ends: Arr
         np.abs(model.lowerPositionLimit), np.abs(model.upperPositionLimit)))
     length = np.array([float(np.linalg.norm(model.jointPlacements[i + 1].translation))
                        for i in range(count)])
-    farthest = np.zeros(count + 1)
+    farthest = np.zeros(count + 1)  # of all that a joint carries, from its origin
     for joint, ends in zip(capsule_joint, capsule_ends):
         farthest[joint] = max(farthest[joint], np.linalg.norm(ends, axis=0).max())
-    bounds = np.empty(count)
-    beyond = 0.0
+    parents = np.array(list(model.parents)[1:], dtype=np.intp)
     for i in reversed(range(count)):
-        beyond = max(float(farthest[i + 1]), beyond)
-        bounds[i] = beyond if revolute[i] else 1.0
-        beyond += length[i] + stroke[i]
-    return bounds * supports_of(capsule_joint, count)
+        beyond = farthest[i + 1] + (length[i] + stroke[i])
+        farthest[parents[i]] = max(farthest[parents[i]], beyond)
+    bounds = np.where(revolute, farthest[1:], 1.0)
+    return bounds * supports_of(capsule_joint, parents)
 
 
 def pairs_of_payload(
@@ -181,7 +206,8 @@ def pairs_of_payload(
 
 
 def colliding_pairs(
-    capsules: Sequence[Capsule], capsule_joint: Indices, arms: Iterable[Kinematics],
+    capsules: Sequence[Capsule], capsule_joint: Indices, parents: Indices,
+    arms: Iterable[Kinematics],
 ) -> Indices:
     """Return the pairs (p, 2) of capsules that can collide, judged by random postures.
 
@@ -192,17 +218,18 @@ def colliding_pairs(
     Args:
         capsules: the link shapes.
         capsule_joint: (c,) the joints that carry them.
+        parents: (n,) see `Chain`.
         arms: the kinematics at random postures, without end; taken only if needed.
     """
     pairs = np.column_stack(np.triu_indices(len(capsules), 1))
     if not len(pairs):
         return pairs
-    joints_between = np.abs(np.diff(capsule_joint[pairs], axis=1))[:, 0]
+    between = joints_between(*capsule_joint[pairs].T, parents)
     radii = np.array([c.radius for c in capsules])
-    count = _SAMPLED_POSTURES if (joints_between > 1).any() else 0
+    count = _SAMPLED_POSTURES if (between > 1).any() else 0
     sampled = np.array([
         link_distances(arm.segment_start, arm.segment_end, radii, pairs).distance
         for arm in islice(arms, count)]).reshape(-1, len(pairs))
     touching = (sampled < 0.0).sum(axis=0) > _LARGEST_OVERLAP_SHARE * _SAMPLED_POSTURES
-    never = (joints_between == 2) & (sampled > _NEVER_NEARER).all(axis=0)
-    return pairs[(joints_between > 1) & ~touching & ~never]
+    never = (between == 2) & (sampled > _NEVER_NEARER).all(axis=0)
+    return pairs[(between > 1) & ~touching & ~never]

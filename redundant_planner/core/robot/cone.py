@@ -52,7 +52,7 @@ def cone_room(cone: Cone, rotation: Matrix, screws: Matrix) -> tuple[float, Arra
     Args:
         cone: with an angle α between 0 and π.
         rotation: (3, 3) tip axes in the base frame.
-        screws: (6, n) of the joints, see `Kinematics`.
+        screws: (6, n) of the joints, or the tip's Jacobian: their axes are the same, and count.
     """
     a, d = _axis(cone, rotation), cone.direction
     sine = math.sin(cone.angle)

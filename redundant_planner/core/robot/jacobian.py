@@ -1,4 +1,4 @@
-"""∂J/∂q of a serial chain, exactly, from the columns of J alone.
+"""∂J/∂q, exactly, from the columns of J alone.
 
 With base-axes columns J_j = [v_j; w_j] of the tip point (w = 0 for a prismatic joint),
 
@@ -13,7 +13,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, Indices, kernel, Matrix, OutVector, Vector
+from redundant_planner.core.kernels import (
+    compiled,
+    Indices,
+    kernel,
+    Matrix,
+    OutVector,
+    Stack,
+    Vector,
+)
 from redundant_planner.core.robot.se3 import Place
 
 Array = npt.NDArray[np.float64]
@@ -62,7 +70,7 @@ def jacobian_derivative(jacobian: Array) -> Array:
 
 @compiled
 def derivative_times(
-    jacobian: Matrix, dq: Vector, rotation: Matrix, in_tool: bool, rows: Indices,
+    jacobian: Matrix, dq: Vector, rotations: Stack, in_tool: bool, rows: Indices,
 ) -> Array:
     """Return the columns (∂J/∂q_k) q̇ of the controlled axes, (m, n).
 
@@ -71,57 +79,62 @@ def derivative_times(
     Rᵀ ((∂J/∂q_k) q̇ − w_k × J q̇).
 
     Args:
-        jacobian: (6, n) tip Jacobian in base axes.
+        jacobian: (6 t, n) Jacobian of t tips in base axes; a joint that does not move a tip has a
+            column of 0 there, and so no part in its derivative.
         dq: (n,) q̇.
-        rotation: (3, 3) R, tool axes in the base frame.
+        rotations: (t, 3, 3) R, tool axes in the base frame.
         in_tool: whether the columns are wanted in tool axes.
-        rows: (m,) the controlled ones of the six axes.
+        rows: (m,) the controlled ones of the six axes of each tip.
     """
     n = len(dq)
     columns = np.empty((len(rows), n))
-    # Σ [v_j; w_j] q̇_j over j ≥ k and over j < k; what is taken off; a whole column.
-    after, before, total, full = np.zeros((4, 6))
-    for j in range(n):
-        for row in range(6):
-            after[row] += jacobian[row, j] * dq[j]
-    # In tool axes w_k × J q̇ is taken off.
-    if in_tool:
-        total[:] = after
-    for k in range(n):
-        v1, v2, v3, w1, w2, w3 = jacobian[:, k]
-        for part in range(0, 6, 3):
-            x = after[part] - total[part]
-            y = after[part + 1] - total[part + 1]
-            z = after[part + 2] - total[part + 2]
-            full[part], full[part + 1], full[part + 2] = (
-                w2 * z - w3 * y, w3 * x - w1 * z, w1 * y - w2 * x)
-        full[0] += before[4] * v3 - before[5] * v2
-        full[1] += before[5] * v1 - before[3] * v3
-        full[2] += before[3] * v2 - before[4] * v1
-        for i in range(len(rows)):
-            row = rows[i]
-            if in_tool:
-                axes, part = rotation[:, row % 3], 3 * (row // 3)
-                columns[i, k] = (axes[0] * full[part] + axes[1] * full[part + 1]
-                                 + axes[2] * full[part + 2])
-            else:
-                columns[i, k] = full[row]
-        for row in range(6):
-            after[row] -= jacobian[row, k] * dq[k]
-            before[row] += jacobian[row, k] * dq[k]
+    for tip in range(len(rotations)):
+        own, rotation = jacobian[6 * tip:6 * tip + 6], rotations[tip]
+        # Σ [v_j; w_j] q̇_j over j ≥ k and over j < k; what is taken off; a whole column.
+        after, before, total, full = np.zeros((4, 6))
+        for j in range(n):
+            for row in range(6):
+                after[row] += own[row, j] * dq[j]
+        # In tool axes w_k × J q̇ is taken off.
+        if in_tool:
+            total[:] = after
+        for k in range(n):
+            v1, v2, v3, w1, w2, w3 = own[:, k]
+            for part in range(0, 6, 3):
+                x = after[part] - total[part]
+                y = after[part + 1] - total[part + 1]
+                z = after[part + 2] - total[part + 2]
+                full[part], full[part + 1], full[part + 2] = (
+                    w2 * z - w3 * y, w3 * x - w1 * z, w1 * y - w2 * x)
+            full[0] += before[4] * v3 - before[5] * v2
+            full[1] += before[5] * v1 - before[3] * v3
+            full[2] += before[3] * v2 - before[4] * v1
+            for i in range(len(rows)):
+                row = rows[i] - 6 * tip
+                if not 0 <= row < 6:
+                    continue
+                if in_tool:
+                    axes, part = rotation[:, row % 3], 3 * (row // 3)
+                    columns[i, k] = (axes[0] * full[part] + axes[1] * full[part + 1]
+                                     + axes[2] * full[part + 2])
+                else:
+                    columns[i, k] = full[row]
+            for row in range(6):
+                after[row] -= own[row, k] * dq[k]
+                before[row] += own[row, k] * dq[k]
     return columns
 
 
 @compiled
 def jdot_qdot(
-    jacobian: Matrix, dq: Vector, rotation: Matrix, in_tool: bool, rows: Indices,
+    jacobian: Matrix, dq: Vector, rotations: Stack, in_tool: bool, rows: Indices,
 ) -> Array:
     """Return J̇ q̇ = Σ_k (∂J/∂q_k) q̇ · q̇_k of the controlled axes, (m,).
 
     Args:
-        jacobian, dq, rotation, in_tool, rows: as for `derivative_times`.
+        jacobian, dq, rotations, in_tool, rows: as for `derivative_times`.
     """
-    columns = derivative_times(jacobian, dq, rotation, in_tool, rows)
+    columns = derivative_times(jacobian, dq, rotations, in_tool, rows)
     rate = np.zeros(len(rows))
     for i in range(len(rows)):
         for k in range(len(dq)):
@@ -131,15 +144,16 @@ def jdot_qdot(
 
 @compiled
 def derivative_between(
-    left: Vector, jacobian: Matrix, dq: Vector, rotation: Matrix, in_tool: bool, rows: Indices,
+    left: Vector, jacobian: Matrix, dq: Vector, rotations: Stack, in_tool: bool,
+    rows: Indices,
 ) -> Array:
     """Return uᵀ (∂J/∂q_k) q̇ for every k, (n,).
 
     Args:
         left: (m,) u.
-        jacobian, dq, rotation, in_tool, rows: as for `derivative_times`.
+        jacobian, dq, rotations, in_tool, rows: as for `derivative_times`.
     """
-    columns = derivative_times(jacobian, dq, rotation, in_tool, rows)
+    columns = derivative_times(jacobian, dq, rotations, in_tool, rows)
     result = np.zeros(len(dq))
     for i in range(len(rows)):
         for k in range(len(dq)):

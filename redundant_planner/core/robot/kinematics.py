@@ -1,4 +1,4 @@
-"""Forward kinematics and Jacobians of a serial chain, at one posture or at several.
+"""Forward kinematics and Jacobians of a chain of joints, or a tree with several tips.
 
 Pinocchio reads the robot; where its joints sit in each other's frames comes from its model. The
 product of these placements is written here, because a tick that plans needs it at a dozen
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.kernels import entry, Indices, kernel, Matrix, OutMatrix, Stack, Vector
 from redundant_planner.core.machine_code.packed import Packed
+from redundant_planner.core.robot.se3 import Poses
 
 Array = npt.NDArray[np.float64]
 
@@ -25,9 +26,9 @@ class Kinematics(NamedTuple):
     Attributes:
         q: (n,) joint positions [rad, m].
         joint_screws: (6, n) [v; w], v taken at the base origin [m/s, rad/s per unit q̇].
-        tip_position: (3,) [m].
-        tip_rotation: (3, 3) tip axes in the base frame.
-        tip_jacobian: (6, n) of the tip point, base axes (LOCAL_WORLD_ALIGNED).
+        tip_positions: (t, 3) of its t tips [m].
+        tip_rotations: (t, 3, 3) their axes in the base frame.
+        tip_jacobian: (6 t, n) of the tip points, base axes (LOCAL_WORLD_ALIGNED).
         jacobian: (m, n) the controlled rows, in the command frame: J of the paper.
         segment_start: (c, 3) first ends of the capsules [m].
         segment_end: (c, 3) second ends of the capsules [m].
@@ -35,21 +36,39 @@ class Kinematics(NamedTuple):
 
     q: Vector
     joint_screws: Matrix
-    tip_position: Vector
-    tip_rotation: Matrix
+    tip_positions: Matrix
+    tip_rotations: Stack
     tip_jacobian: Matrix
     jacobian: Matrix
     segment_start: Matrix
     segment_end: Matrix
 
+    @property
+    def tip_position(self) -> Vector:
+        """Where the first tip is, (3,) [m]."""
+        return self.tip_positions[0]
+
+    @property
+    def tip_rotation(self) -> Matrix:
+        """The first tip's axes in the base frame, (3, 3)."""
+        return self.tip_rotations[0]
+
+    @property
+    def tips(self) -> Poses:
+        """The poses of all tips."""
+        return Poses(self.tip_positions, self.tip_rotations)
+
 
 class KinematicsAlong(NamedTuple):
-    """The fields of `Kinematics` at N postures: N leads every array."""
+    """The fields of `Kinematics` at N postures: N leads every array.
+
+    The poses of t tips follow each other: (N t, 3) and (N t, 3, 3).
+    """
 
     q: Matrix
     joint_screws: Stack
-    tip_position: Matrix
-    tip_rotation: Stack
+    tip_positions: Matrix
+    tip_rotations: Stack
     tip_jacobian: Stack
     jacobian: Stack
     segment_start: Stack
@@ -63,38 +82,44 @@ class Links(NamedTuple):
         start, end: (c, 3) the capsules' segments in the base frame [m].
         joint_screws: (6, n) see `Kinematics`.
         supports: (c, n) 1 where a joint moves a link, else 0.
+        parents: (n,) see `Chain`.
     """
 
     start: Matrix
     end: Matrix
     joint_screws: Matrix
     supports: Matrix
+    parents: Indices
 
 
 class Chain(NamedTuple):
     """What stays the same at every posture.
 
     Attributes:
+        parents: (n,) number of the joint before each, counted from 1; 0 for the base.
         placed: (n, 3, 3) each joint's axes at position 0 in the frame of the joint before.
         offset: (n, 3) its origin there [m].
         motion: (n, 6) [v; w] what the joint does per unit of q̇, in its own frame: v is 0 for a
             revolute joint, w for a prismatic one, and the other is a unit vector.
-        tip_joint: number of the joint that carries the tip frame.
-        tip_in_joint: (3, 3) the tip's axes in that joint's frame.
-        tip_from_joint: (3,) its origin there [m].
+        tip_joints: (t,) numbers of the joints that carry the tip frames.
+        tip_in_joint: (t, 3, 3) the tips' axes in these joints' frames.
+        tip_from_joint: (t, 3) their origins there [m].
+        tip_supports: (t, n) 1 where a joint moves a tip, else 0.
         capsule_joint: (c,) the joints that carry the capsules.
         capsule_ends: (c, 3, 2) in their frames [m].
         supports: (c, n) 1 where a joint moves a capsule, else 0.
-        rows: (m,) the controlled ones of the six axes.
+        rows: (m,) the controlled ones of the six axes of each tip.
         in_tool: whether J is wanted in tool axes.
     """
 
+    parents: Indices
     placed: Stack
     offset: Matrix
     motion: Matrix
-    tip_joint: int
-    tip_in_joint: Matrix
-    tip_from_joint: Vector
+    tip_joints: Indices
+    tip_in_joint: Stack
+    tip_from_joint: Matrix
+    tip_supports: Matrix
     capsule_joint: Indices
     capsule_ends: Stack
     supports: Matrix
@@ -102,12 +127,12 @@ class Chain(NamedTuple):
     in_tool: bool
 
 
-def new_kinematics(q: Vector, m: int, links: int) -> Kinematics:
+def new_kinematics(q: Vector, m: int, tips: int, links: int) -> Kinematics:
     """Return the arrays of an arm's kinematics, for `fill`; only the posture (n,) is in them."""
     n = len(q)
     return Kinematics(
-        q.copy(), np.empty((6, n)), np.empty(3), np.empty((3, 3)), np.empty((6, n)),
-        np.empty((m, n)), np.empty((links, 3)), np.empty((links, 3)))
+        q.copy(), np.empty((6, n)), np.empty((tips, 3)), np.empty((tips, 3, 3)),
+        np.empty((6 * tips, n)), np.empty((m, n)), np.empty((links, 3)), np.empty((links, 3)))
 
 
 new_kinematics_compiled = kernel(new_kinematics)
@@ -142,17 +167,18 @@ def place_joints(q: Vector, chain: Chain, places: JointPlaces, screws: OutMatrix
     rotation, position = places.rotation, places.position
     placed, offset, motion = chain.placed, chain.offset, chain.motion
     for j in range(len(q)):
+        before = chain.parents[j]
         x, y, z = motion[j, 3], motion[j, 4], motion[j, 5]
         sine, cosine = math.sin(q[j]), math.cos(q[j])
         turns = x != 0.0 or y != 0.0 or z != 0.0
         for i in range(3):
-            u, v, w = rotation[j, i, 0], rotation[j, i, 1], rotation[j, i, 2]
+            u, v, w = rotation[before, i, 0], rotation[before, i, 1], rotation[before, i, 2]
             a = u * placed[j, 0, 0] + v * placed[j, 1, 0] + w * placed[j, 2, 0]
             b = u * placed[j, 0, 1] + v * placed[j, 1, 1] + w * placed[j, 2, 1]
             c = u * placed[j, 0, 2] + v * placed[j, 1, 2] + w * placed[j, 2, 2]
             slide = a * motion[j, 0] + b * motion[j, 1] + c * motion[j, 2]
             axis = a * x + b * y + c * z
-            position[j + 1, i] = position[j, i] + q[j] * slide + (
+            position[j + 1, i] = position[before, i] + q[j] * slide + (
                 u * offset[j, 0] + v * offset[j, 1] + w * offset[j, 2])
             screws[i, j], screws[3 + i, j] = slide, axis
             if turns:
@@ -171,34 +197,41 @@ def place_joints(q: Vector, chain: Chain, places: JointPlaces, screws: OutMatrix
 
 @kernel
 def _fill_tip(places: JointPlaces, chain: Chain, arm: Kinematics) -> None:
-    """Write the tip's pose and the Jacobians of an arm whose joints are placed."""
-    joint, position, rotation = chain.tip_joint, arm.tip_position, arm.tip_rotation
-    inner, offset = chain.tip_in_joint, chain.tip_from_joint
-    for i in range(3):
-        a, b, c = (places.rotation[joint, i, 0], places.rotation[joint, i, 1],
-                   places.rotation[joint, i, 2])
-        position[i] = places.position[joint, i] + a * offset[0] + b * offset[1] + c * offset[2]
-        for k in range(3):
-            rotation[i, k] = a * inner[0, k] + b * inner[1, k] + c * inner[2, k]
-    x, y, z = position[0], position[1], position[2]
+    """Write the tips' poses and the Jacobians of an arm whose joints are placed."""
     screws, tip_jacobian, jacobian, rows = (
         arm.joint_screws, arm.tip_jacobian, arm.jacobian, chain.rows)
-    for j in range(screws.shape[1]):
-        v1, v2, v3 = screws[0, j], screws[1, j], screws[2, j]
-        w1, w2, w3 = screws[3, j], screws[4, j], screws[5, j]
-        # v = v₀ + w × x at the tip point x.
-        tip_jacobian[0, j] = v1 + w2 * z - w3 * y
-        tip_jacobian[1, j] = v2 + w3 * x - w1 * z
-        tip_jacobian[2, j] = v3 + w1 * y - w2 * x
-        tip_jacobian[3, j], tip_jacobian[4, j], tip_jacobian[5, j] = w1, w2, w3
-        for i in range(len(rows)):
-            if chain.in_tool:
-                part, axis = 3 * (rows[i] // 3), rows[i] % 3
+    for t in range(len(chain.tip_joints)):
+        joint, position, rotation = chain.tip_joints[t], arm.tip_positions[t], arm.tip_rotations[t]
+        inner, offset, first = chain.tip_in_joint[t], chain.tip_from_joint[t], 6 * t
+        for i in range(3):
+            a, b, c = (places.rotation[joint, i, 0], places.rotation[joint, i, 1],
+                       places.rotation[joint, i, 2])
+            position[i] = places.position[joint, i] + a * offset[0] + b * offset[1] + c * offset[2]
+            for k in range(3):
+                rotation[i, k] = a * inner[0, k] + b * inner[1, k] + c * inner[2, k]
+        x, y, z = position[0], position[1], position[2]
+        for j in range(screws.shape[1]):
+            if chain.tip_supports[t, j] == 0.0:
+                tip_jacobian[first:first + 6, j] = 0.0
+                continue
+            v1, v2, v3 = screws[0, j], screws[1, j], screws[2, j]
+            w1, w2, w3 = screws[3, j], screws[4, j], screws[5, j]
+            # v = v₀ + w × x at the tip point x.
+            tip_jacobian[first, j] = v1 + w2 * z - w3 * y
+            tip_jacobian[first + 1, j] = v2 + w3 * x - w1 * z
+            tip_jacobian[first + 2, j] = v3 + w1 * y - w2 * x
+            tip_jacobian[first + 3, j], tip_jacobian[first + 4, j] = w1, w2
+            tip_jacobian[first + 5, j] = w3
+    for i in range(len(rows)):
+        if chain.in_tool:
+            rotation = arm.tip_rotations[rows[i] // 6]
+            part, axis = 3 * (rows[i] // 3), rows[i] % 3
+            for j in range(screws.shape[1]):
                 jacobian[i, j] = (rotation[0, axis] * tip_jacobian[part, j]
                                   + rotation[1, axis] * tip_jacobian[part + 1, j]
                                   + rotation[2, axis] * tip_jacobian[part + 2, j])
-            else:
-                jacobian[i, j] = tip_jacobian[rows[i], j]
+        else:
+            jacobian[i] = tip_jacobian[rows[i]]
 
 
 @kernel
@@ -258,20 +291,23 @@ def way_of_link(
 @kernel
 def one_of(arms: KinematicsAlong, at: int) -> Kinematics:
     """Return the kinematics at one of several postures, as views."""
+    tips = len(arms.tip_positions) // len(arms.q)
+    first, last = at * tips, (at + 1) * tips
     return Kinematics(
-        arms.q[at], arms.joint_screws[at], arms.tip_position[at], arms.tip_rotation[at],
-        arms.tip_jacobian[at], arms.jacobian[at], arms.segment_start[at], arms.segment_end[at])
+        arms.q[at], arms.joint_screws[at], arms.tip_positions[first:last],
+        arms.tip_rotations[first:last], arms.tip_jacobian[at], arms.jacobian[at],
+        arms.segment_start[at], arms.segment_end[at])
 
 
 @kernel
 def along_in(q: Matrix, chain: Chain) -> KinematicsAlong:
     """Return the arm's kinematics at N postures (N, n): N leads every array."""
     count, n = q.shape
-    m, links = len(chain.rows), len(chain.capsule_joint)
+    m, tips, links = len(chain.rows), len(chain.tip_joints), len(chain.capsule_joint)
     arms = KinematicsAlong(
-        q.copy(), np.empty((count, 6, n)), np.empty((count, 3)), np.empty((count, 3, 3)),
-        np.empty((count, 6, n)), np.empty((count, m, n)), np.empty((count, links, 3)),
-        np.empty((count, links, 3)))
+        q.copy(), np.empty((count, 6, n)), np.empty((count * tips, 3)),
+        np.empty((count * tips, 3, 3)), np.empty((count, 6 * tips, n)), np.empty((count, m, n)),
+        np.empty((count, links, 3)), np.empty((count, links, 3)))
     places = new_places(n)
     for i in range(count):
         fill(chain, places, one_of(arms, i))

@@ -1,7 +1,7 @@
 """The links after a motion of the joints, from the screws at the posture before it.
 
 By the product of exponentials: joint j moves all that it carries by exp(ŝ_j Δq_j) along its screw
-s_j of now, after the joints beyond it have moved.
+s_j of now, after the joints beyond it have moved. In a tree only those on the same branch count.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from redundant_planner.core.kernels import compiled, kernel, Matrix, OutMatrix, OutVector, Vector
-from redundant_planner.core.robot.kinematics import Links
+from redundant_planner.core.robot.kinematics import Links, new_places
 
 # Angles below this are none: the limit is exact to round-off [rad].
 _SMALL_ANGLE = 1e-5
@@ -77,8 +77,11 @@ def links_after(links: Links, motion: Vector) -> Links:
         for j in range(n):
             if links.supports[link, j] != 0.0:
                 last[link] = j
-    rotation, position = np.eye(3), np.zeros(3)  # of what the joints so far carry
+    carried = new_places(n)  # of what each joint carries; the base carries what stays
     for j in range(n):
+        rotation, position = carried.rotation[j + 1], carried.position[j + 1]
+        rotation[:] = carried.rotation[links.parents[j]]
+        position[:] = carried.position[links.parents[j]]
         _carry(rotation, position, links.joint_screws, j, screws)
         _go_on(rotation, position, links.joint_screws, j, motion[j])
         for link in range(count):
@@ -88,4 +91,4 @@ def links_after(links: Links, motion: Vector) -> Links:
                     for k in range(3):
                         start[link, axis] += rotation[axis, k] * links.start[link, k]
                         end[link, axis] += rotation[axis, k] * links.end[link, k]
-    return Links(start, end, screws, links.supports)
+    return Links(start, end, screws, links.supports, links.parents)

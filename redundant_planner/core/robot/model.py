@@ -1,4 +1,4 @@
-"""A serial arm: the chain of joints, their limits, and the frames and shapes of its links."""
+"""An arm, or a body with several: its joints, their limits, and the frames and shapes of links."""
 
 from __future__ import annotations
 
@@ -28,32 +28,35 @@ from redundant_planner.core.robot.kinematics import (
 )
 from redundant_planner.core.robot.payload import payload_capsules
 from redundant_planner.core.robot.pinocchio_model import (
-    chain_joints,
     joint_placements,
     link_id,
     model_of_chain,
+    tree_joints,
 )
 from redundant_planner.core.robot.urdf import read_urdf
 
 Array = npt.NDArray[np.float64]
 Arm = TypeVar('Arm', bound='Robot')
+# Controlled axes of every tip, or tip → its own.
+Axes = Sequence[str] | Mapping[str, Sequence[str]]
 
 # A posture further away is none: a continuous joint that turns at 10 rad/s gets there in a day.
 _FARTHEST = 1e6
 
 
 class Robot:
-    """A chain of n joints from a base frame to a tip frame.
+    """A chain of n joints from a base frame to a tip frame, or a tree of them to several.
 
     Attributes:
         name: the URDF's robot name.
         urdf: the URDF text it was built from.
-        base_frame, tip_frame: frame names.
-        joint_names: the n chain joints, base first.
-        axes: the m controlled axes, a subset of `AXES` in that order.
+        base_frame, tip_frame: frame names; the latter of the first tip.
+        tips: frame names of all t tips.
+        joint_names: the n joints, each after the one that carries it.
+        axes: the controlled axes of the first tip, a subset of `AXES` in that order.
         command_frame: 'base' or 'tool': the frame in which a twist, and so J, is expressed.
         in_tool: whether that is the tool frame.
-        rows: (m,) which of the six axes are controlled.
+        rows: (m,) which of the six axes of each tip are controlled: 6 · tip + axis.
         position_min, position_max: (n,) [rad, m], infinite for continuous joints.
         velocity_max, acceleration_max, jerk_max: (n,) [rad/s, m/s; per s²; per s³], the last may
             be infinite.
@@ -69,11 +72,12 @@ class Robot:
     def __init__(
         self,
         urdf: str,
-        tip_frame: str,
+        tip_frame: str = '',
         *,
+        tips: Sequence[str] = (),
         base_frame: str = '',
         locked_positions: Mapping[str, float] | None = None,
-        axes: Sequence[str] = AXES,
+        axes: Axes = AXES,
         command_frame: str = 'base',
         position_limits: Ranges | None = None,
         velocity_max: Values | None = None,
@@ -87,12 +91,13 @@ class Robot:
         Args:
             urdf: the URDF's text (not its path).
             tip_frame: the link whose origin is the end effector.
+            tips: such links of a body with several arms, instead of `tip_frame`.
             base_frame: the link that commands, obstacles and poses refer to; the root link
                 if empty.
             locked_positions: joint name → position at which it is held [rad, m]. Joints
                 outside the chain are held at 0 (or the nearest limit) unless given here.
                 A chain joint named here is taken out of the chain.
-            axes: controlled axes, out of `AXES`.
+            axes: controlled axes, out of `AXES`; tip → axes where tips differ.
             command_frame: 'base' or 'tool', see the class.
             position_limits: joint name → its lowest and highest position [rad, m], within the
                 URDF's. An arm found outside may stay there or come in.
@@ -115,13 +120,16 @@ class Robot:
         described = read_urdf(urdf)
         self.name: str = described.name
         self.base_frame = base_frame or described.root
-        self.tip_frame = tip_frame
-        chain = chain_joints(described, self.base_frame, tip_frame, locked_positions or {})
+        self.tips = _checked_tips(tip_frame, tips)
+        self.tip_frame = self.tips[0]
+        chain = tree_joints(described, self.base_frame, self.tips, locked_positions or {})
         self._model = model_of_chain(
             described, chain, self.base_frame, locked_positions or {})
         self._data = self._model.createData()
         self.joint_names: tuple[str, ...] = tuple(self._model.names)[1:]
-        self.axes = _checked_axes(axes)
+        chain.sort(key=lambda joint: self.joint_names.index(joint.name))
+        axes_of_tips = _axes_of_tips(axes, self.tips)
+        self.axes = axes_of_tips[0]
         if command_frame not in COMMAND_FRAMES:
             raise RobotError(
                 f"command_frame is '{command_frame}'; it must be one of {known(COMMAND_FRAMES)}")
@@ -134,24 +142,26 @@ class Robot:
         # Narrower limits change nothing about which links can meet: the arm may start beyond.
         self._reachable = position_ranges(chain)
 
-        self._tip_id = link_id(self._model, tip_frame)
-        self.rows = np.array([AXES.index(axis) for axis in self.axes], dtype=np.intp)
+        self._tip_ids = [link_id(self._model, tip) for tip in self.tips]
+        self.rows = np.array([
+            6 * t + AXES.index(axis) for t, axes_of_tip in enumerate(axes_of_tips)
+            for axis in axes_of_tip], dtype=np.intp)
         own = tuple(
-            shapes.straight_capsules(self._model, self._tip_id, link_radius)
+            shapes.straight_capsules(self._model, self._tip_ids, link_radius)
             if capsules is None else capsules)
         self._take_shapes(own, len(own))
         self.self_pairs = shapes.colliding_pairs(
-            self.capsules, self.chain.capsule_joint, self._random_arms())
+            self.capsules, self.chain.capsule_joint, self.chain.parents, self._random_arms())
 
     @property
     def n(self) -> int:
-        """Number of chain joints."""
+        """Number of joints."""
         return len(self.joint_names)
 
     @property
     def m(self) -> int:
-        """Number of controlled axes."""
-        return len(self.axes)
+        """Number of controlled axes, of all tips together."""
+        return len(self.rows)
 
     def holding(self: Arm, things: Iterable[Obstacle]) -> Arm:
         """Return the same arm with other things in its hand, as more capsules on the tip's joint.
@@ -189,7 +199,7 @@ class Robot:
     @property
     def links_of_tip(self) -> tuple[str, ...]:
         """The links that move along with the tip, itself among them."""
-        return self._links_on(self._model.frames[self._tip_id].parentJoint)
+        return self._links_on(self._model.frames[self._tip_ids[0]].parentJoint)
 
     def _links_on(self, joint: int) -> tuple[str, ...]:
         return tuple(frame.name for frame in self._model.frames
@@ -248,16 +258,17 @@ class Robot:
 
     def links(self, arm: Kinematics) -> Links:
         """Return the links at a posture."""
-        return Links(arm.segment_start, arm.segment_end, arm.joint_screws, self.chain.supports)
+        return Links(arm.segment_start, arm.segment_end, arm.joint_screws, self.chain.supports,
+                     self.chain.parents)
 
     def joint_points(self, q: npt.ArrayLike) -> Array:
-        """Return the joint origins, then the tip, (n + 1, 3): the X_i of Eq. 7 [m].
+        """Return the joint origins, then the first tip, (n + 1, 3): the X_i of Eq. 7 [m].
 
         Raises:
             StateError: `q` does not have n finite entries.
         """
         pin.forwardKinematics(self._model, self._data, self.checked_posture(q))
-        tip = pin.updateFramePlacement(self._model, self._data, self._tip_id)
+        tip = pin.updateFramePlacement(self._model, self._data, self._tip_ids[0])
         joints = [self._data.oMi[i].translation for i in range(1, self.n + 1)]
         return np.array([*joints, tip.translation])
 
@@ -283,12 +294,12 @@ class Robot:
                          f'is further from 0 than {_FARTHEST:g} [rad, m]')
 
     def task_rows(self, twist: npt.ArrayLike) -> Array:
-        """Return the controlled entries (m,) of a full twist (6,)."""
+        """Return the controlled entries (m,) of the tips' full twists (6 t,)."""
         return np.asarray(twist, dtype=float)[self.rows]
 
     def full_twist(self, task: Array) -> Array:
-        """Return the twist (6,) whose controlled entries are `task` (m,), zero elsewhere."""
-        twist = np.zeros(6)
+        """Return the twists (6 t,) whose controlled entries are `task` (m,), zero elsewhere."""
+        twist = np.zeros(6 * len(self.tips))
         twist[self.rows] = task
         return twist
 
@@ -299,20 +310,23 @@ class Robot:
         self._packed_chain = Packed.of(self.chain)
         # Of the arrays that every posture gets anew, after the posture itself.
         self._shapes = [part.shape for part in new_kinematics(
-            np.zeros(self.n), self.m, len(self.capsules))[1:]]
+            np.zeros(self.n), self.m, len(self.tips), len(self.capsules))[1:]]
         self.supports = _read_only(self.chain.supports.copy())
         self.lever_arm_bounds = _read_only(shapes.lever_arm_bounds(
             self._model, self.chain.capsule_joint, self.chain.capsule_ends))
 
     def _chain(self) -> Chain:
         """Return what the kinematics are computed from at any posture."""
-        tip = self._model.frames[self._tip_id]
+        tips = [self._model.frames[tip] for tip in self._tip_ids]
+        tip_joints = np.array([tip.parentJoint for tip in tips], dtype=np.intp)
+        parents = np.array(list(self._model.parents)[1:], dtype=np.intp)
         capsule_joint, capsule_ends = shapes.placed(self._model, self.capsules)
         return Chain(
-            *joint_placements(self._model), int(tip.parentJoint),
-            np.array(tip.placement.rotation, order='C'), np.array(tip.placement.translation),
-            capsule_joint, capsule_ends,
-            shapes.supports_of(capsule_joint, self.n), self.rows, self.in_tool)
+            parents, *joint_placements(self._model), tip_joints,
+            np.array([tip.placement.rotation for tip in tips]),
+            np.array([tip.placement.translation for tip in tips]),
+            shapes.supports_of(tip_joints, parents), capsule_joint, capsule_ends,
+            shapes.supports_of(capsule_joint, parents), self.rows, self.in_tool)
 
     def _random_arms(self) -> Iterator[Kinematics]:
         """Yield the kinematics at random postures within the URDF's limits, without end."""
@@ -327,6 +341,22 @@ class Robot:
 def _read_only(array: Array) -> Array:
     array.setflags(write=False)
     return array
+
+
+def _checked_tips(tip_frame: str, tips: Sequence[str]) -> tuple[str, ...]:
+    if tip_frame and tips or not (tip_frame or tips) or len(set(tips)) != len(tips):
+        raise RobotError(f"tip_frame is '{tip_frame}' and tips are {list(tips)}; one of them names "
+                         'the end effector, or several different ones')
+    return tuple(tips) or (tip_frame,)
+
+
+def _axes_of_tips(axes: Axes, tips: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the controlled axes of each tip."""
+    if not isinstance(axes, Mapping):
+        return [_checked_axes(axes)] * len(tips)
+    if set(axes) != set(tips):
+        raise RobotError(f'axes are given for {known(axes)}; the tips are {known(tips)}')
+    return [_checked_axes(axes[tip]) for tip in tips]
 
 
 def _checked_axes(axes: Sequence[str]) -> tuple[str, ...]:

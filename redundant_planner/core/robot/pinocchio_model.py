@@ -1,4 +1,4 @@
-"""The chain of joints between two links of a URDF, as Pinocchio's model."""
+"""The joints between a base and its tips in a URDF, as Pinocchio's model."""
 
 from __future__ import annotations
 
@@ -77,6 +77,18 @@ def chain_joints(
         raise RobotError(f'{len(chain)} movable joints lie between {ends}; '
                          f'a chain takes {_MOST_JOINTS} at most')
     return chain
+
+
+def tree_joints(
+    urdf: Urdf, base_frame: str, tips: Sequence[str], locked_positions: Mapping[str, float],
+) -> list[Joint]:
+    """Return the joints between a base and several tips that move; errors as `chain_joints`."""
+    found = {joint.name: joint for tip in tips
+             for joint in chain_joints(urdf, base_frame, tip, locked_positions)}
+    if len(found) > _MOST_JOINTS:
+        raise RobotError(f'{len(found)} movable joints lead to {known(tips)}; the planner takes '
+                         f'{_MOST_JOINTS} at most')
+    return list(found.values())
 
 
 def model_of_chain(

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import shown, StateError
-from redundant_planner.core.kernels import compiled, kernel, Matrix, Vector
+from redundant_planner.core.kernels import compiled, kernel, Matrix, Stack, Vector
 
 Array = npt.NDArray[np.float64]
 
@@ -37,12 +37,46 @@ class Pose(NamedTuple):
     rotation: Matrix
 
 
+class Poses(NamedTuple):
+    """Poses of several tips, or of one at several times, in the base frame.
+
+    Attributes:
+        position: (k, 3) [m].
+        rotation: (k, 3, 3) tip axes in the base frame.
+    """
+
+    position: Matrix
+    rotation: Stack
+
+    @classmethod
+    def of(cls, *poses: Pose) -> Poses:
+        """Return single poses together."""
+        return cls(np.array([pose.position for pose in poses]),
+                   np.array([pose.rotation for pose in poses]))
+
+    @property
+    def first(self) -> Pose:
+        """The first of them."""
+        return Pose(self.position[0], self.rotation[0])
+
+    @property
+    def each(self) -> tuple[Pose, ...]:
+        """All of them, one by one."""
+        return tuple(map(Pose, self.position, self.rotation))
+
+
 class Place(NamedTuple):
     """A point or vector as plain numbers, which the compiler keeps in registers [m]."""
 
     x: float
     y: float
     z: float
+
+
+@kernel
+def one_pose(poses: Poses, i: int) -> Pose:
+    """Return one of several poses, as views."""
+    return Pose(poses.position[i], poses.rotation[i])
 
 
 @kernel
@@ -176,6 +210,11 @@ def integrate(pose: Pose, twist: Vector, dt: float, in_tool: bool) -> Pose:
     return Pose(pose.position + _turned(pose.rotation, moved), _product(pose.rotation, turn))
 
 
+def stacked(pose: Pose | Poses) -> Poses:
+    """Return one pose, or several, as several."""
+    return Poses.of(pose) if isinstance(pose, Pose) else pose
+
+
 def composed(outer: Pose, inner: Pose) -> Pose:
     """Return a pose that is given relative to another one, in the frame of that one."""
     return Pose(outer.position + outer.rotation @ inner.position, outer.rotation @ inner.rotation)
@@ -201,6 +240,15 @@ def pose_error(reference: Pose, actual: Pose, in_tool: bool) -> Array:
     error = np.empty(6)
     for axis in range(3):
         error[axis], error[3 + axis] = displacement[axis], rotation[axis]
+    return error
+
+
+@compiled
+def poses_error(reference: Poses, actual: Poses, in_tool: bool) -> Array:
+    """Return the displacements (6 t,) [m, rad] of t tips, see `pose_error`."""
+    error = np.empty(6 * len(actual.position))
+    for t in range(len(actual.position)):
+        error[6 * t:6 * t + 6] = pose_error(one_pose(reference, t), one_pose(actual, t), in_tool)
     return error
 
 

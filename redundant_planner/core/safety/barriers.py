@@ -54,8 +54,8 @@ _SPARE_IN_CONE, _CAUTION_IN_CONE, _DRIFT = 0.03, 0.4, 0.01
 _SLIGHT, _SLOWLY_OUT = 2e-5, 1e-3
 # Links that have strayed less than this count as in place: the rest of the noise [m].
 _IN_PLACE = 5e-4
-# Two for the cone, one each for the singularity and self-motion.
-_OTHER_ROWS = 4
+# One each for the singularity and self-motion; besides, two for each tip's cone.
+_OTHER_ROWS, _ROWS_OF_CONE = 2, 2
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
 STRAY, STRAY_ANGLE = 2.5e-4, 2.5e-3
 
@@ -169,23 +169,24 @@ def admissible(
     return True
 
 
-def _most_rows(acting: int, own: int) -> int:
+def _most_rows(acting: int, own: int, tips: int) -> int:
     """Return how many rows a tick has at most.
 
     Args:
         acting: pairs of links and obstacles whose barrier could act.
         own: views of pairs of links that could meet, see `NearLinks`.
+        tips: of the arm.
     """
-    return acting + own + _OTHER_ROWS
+    return acting + own + _ROWS_OF_CONE * tips + _OTHER_ROWS
 
 
 most_rows = kernel(_most_rows)
 
 
-def room_for_rows(constants: RobotConstants) -> Rows:
-    """Return room for as many rows as a tick of this robot may have."""
+def room_for_rows(constants: RobotConstants, tips: int = 1) -> Rows:
+    """Return room for as many rows as a tick of a robot with so many tips may have."""
     n = len(constants.scaling)
-    most = _most_rows(MOST_ACTING, MOST_VIEWS * len(constants.self_pairs))
+    most = _most_rows(MOST_ACTING, MOST_VIEWS * len(constants.self_pairs), tips)
     return Rows(np.empty((most, n)), np.empty((3, most)), np.empty((3, most), np.intp))
 
 
@@ -318,7 +319,7 @@ def ease_slight_intrusions(
 
 @kernel
 def cone_rows(rows: Barriers, at: int, start: Start, cone: Cone) -> int:
-    """Write two rows that keep the tip's axis in its cone; return the next row.
+    """Write two rows that keep each tip's axis in its cone; return the next row.
 
     Along the cone's surface a tick's motion leads out by half its curvature. An axis that is
     found outside may stay there, and only not lean further.
@@ -326,19 +327,21 @@ def cone_rows(rows: Barriers, at: int, start: Start, cone: Cone) -> int:
     if cone.angle >= math.pi:
         return at
     arm, dt = start.arm, start.dt
-    found = leaning(cone, arm.tip_rotation, arm.joint_screws, start.previous)
-    for i in range(2):
-        if found.room[i] == np.inf:
-            continue
-        room = found.room[i] - _SPARE_IN_CONE * cone.angle
-        outside = max(-room, 0.0) / _DRIFT
-        rows.gradient[at] = found.gradient[i]
-        rows.time_derivative[at] = 0.5 * dt * found.change[i]
-        # Directions turn as it leans: what it may use up leaves room for that.
-        rows.value[at] = (_CAUTION_IN_CONE * room if room > 0.0 else room if outside < 1.0
-                          else _DRIFT * min(outside - 2.0, 0.0))
-        rows.kind[at] = CONE
-        at += 1
+    for t in range(len(arm.tip_rotations)):
+        found = leaning(cone, arm.tip_rotations[t], arm.tip_jacobian[6 * t:6 * t + 6],
+                        start.previous)
+        for i in range(2):
+            if found.room[i] == np.inf:
+                continue
+            room = found.room[i] - _SPARE_IN_CONE * cone.angle
+            outside = max(-room, 0.0) / _DRIFT
+            rows.gradient[at] = found.gradient[i]
+            rows.time_derivative[at] = 0.5 * dt * found.change[i]
+            # Directions turn as it leans: what it may use up leaves room for that.
+            rows.value[at] = (_CAUTION_IN_CONE * room if room > 0.0 else room if outside < 1.0
+                              else _DRIFT * min(outside - 2.0, 0.0))
+            rows.kind[at] = CONE
+            at += 1
     return at
 
 
@@ -367,7 +370,7 @@ def singularity_row(
         if share > _COUNTS:
             rows.gradient[at] += share * derivative_between(
                 parts.left[:, i].copy(), arm.tip_jacobian, constants.scaling * parts.right[i],
-                arm.tip_rotation, constants.in_tool, constants.rows)
+                arm.tip_rotations, constants.in_tool, constants.rows)
     rows.value[at] = max(mean - math.sqrt(margin * margin + rounding * rounding), 0.0)
     rows.kind[at] = SINGULARITY
     return at + 1
@@ -384,10 +387,10 @@ def fastest_self_motion(
     power of the speed. Infinite where h is far from that.
     """
     rate = jdot_qdot(
-        arm.tip_jacobian, self_motion, arm.tip_rotation, constants.in_tool, constants.rows)
+        arm.tip_jacobian, self_motion, arm.tip_rotations, constants.in_tool, constants.rows)
     squared, squared_angle = 0.0, 0.0
     for i in range(len(rate)):
-        if constants.rows[i] < 3:
+        if constants.rows[i] % 6 < 3:
             squared += rate[i] * rate[i]
         else:
             squared_angle += rate[i] * rate[i]

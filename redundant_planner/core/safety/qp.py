@@ -8,7 +8,7 @@ import daqp
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.kernels import compiled, entry, Matrix, Vector
+from redundant_planner.core.kernels import compiled, entry, Indices, Matrix, Vector
 from redundant_planner.core.safety.limits import TOLERANCE
 
 Array = npt.NDArray[np.float64]
@@ -61,11 +61,13 @@ class StageProblem(NamedTuple):
         spare: (b,) how much of a bound is cheap to give up; only looked at with slacks.
         weights: (n,) diagonal of W.
         price: of the whole twist, as a share of `_PRICE_SCALE`.
+        share_of: (m,) which share s each axis of the twist goes with, 0 first.
+        shares: how many there are.
         may_keep_residual: whether a share of the residual twist may remain.
         slack: whether barriers may give way.
         shared: whether all of them share one slack: fewer variables, and a solution sooner.
         path_gives_way: whether the path may.
-        whole: whether the share s is 1.
+        whole: whether the shares s are 1.
     """
 
     desired: Vector
@@ -80,6 +82,8 @@ class StageProblem(NamedTuple):
     spare: Vector
     weights: Vector
     price: float
+    share_of: Indices
+    shares: int
     may_keep_residual: bool
     slack: bool
     shared: bool
@@ -93,7 +97,7 @@ class Solution(NamedTuple):
     Attributes:
         finite: whether every number of it is.
         dq: (n,) joint velocity.
-        scale: s, the share of the twist that is followed.
+        scales: s, the shares of the twist that are followed, see `StageProblem`.
         residual: r, the share of the residual twist that remains.
         joints: indices of the joints whose bound acts.
         pairs: indices of the barriers that act.
@@ -101,7 +105,7 @@ class Solution(NamedTuple):
 
     finite: bool
     dq: Array
-    scale: float
+    scales: Array
     residual: float
     joints: Found
     pairs: Found
@@ -114,22 +118,23 @@ def solve(problem: StageProblem) -> tuple[Solution | None, bool]:
         hessian, linear, constraints, high, low, sense, primal_tol=TOLERANCE,
         iter_limit=MOST_ITERATIONS_WITH_SLACK if problem.slack else MOST_ITERATIONS)
     found = Solution(*_solution(
-        x, info['lam'], problem.lower, problem.upper, len(problem.bounds)))
+        x, info['lam'], problem.lower, problem.upper, problem.shares, len(problem.bounds)))
     return (found if flag == _SOLVED and found.finite else None), flag == _OUT_OF_ITERATIONS
 
 
 @compiled
 def _solution(
-    x: Vector, multipliers: Vector, lower: Vector, upper: Vector, barriers: int,
-) -> tuple[bool, Array, float, float, Found, Found]:
+    x: Vector, multipliers: Vector, lower: Vector, upper: Vector, shares: int, barriers: int,
+) -> tuple[bool, Array, Array, float, Found, Found]:
     """Return the fields of `Solution`."""
     n, finite = len(lower), True
     for value in x:
         finite = finite and np.isfinite(value)
     dq = np.minimum(np.maximum(x[:n], lower), upper)
     acting = np.abs(multipliers) > _ACTIVE
-    residual = x[n + 1] if len(x) > n + 1 else 0.0
-    return (finite, dq, min(max(x[n], 0.0), 1.0), residual, np.flatnonzero(acting[:n]),
+    residual = x[n + shares] if len(x) > n + shares else 0.0
+    scales = np.minimum(np.maximum(x[n:n + shares], 0.0), 1.0)
+    return (finite, dq, scales, residual, np.flatnonzero(acting[:n]),
             np.flatnonzero(acting[len(acting) - barriers:]))
 
 
@@ -139,7 +144,7 @@ def _matrices(
 ) -> tuple[Array, Array, Array, Array, Array, npt.NDArray[np.int32]]:
     """Return the problem as DAQP takes it: ½ xᵀ H x + fᵀx, low ≤ (x, A x) ≤ high, sense.
 
-    Variables are (q̇, s), then r where a residual twist may remain, then the barriers' slacks
+    Variables are q̇ and the shares s, then r where a residual twist may remain, then the barriers' slacks
     where they are allowed: first all that are `spare` at most, then all that are dearer. A path
     that gives way is a squared price on J q̇ + turning − s ẋ − r residual instead of a
     constraint.
@@ -147,16 +152,17 @@ def _matrices(
     jacobian, bounds, twist = problem.jacobian, problem.bounds, problem.twist
     m, n = jacobian.shape
     rows = len(bounds)
-    slacks = n + 1 + problem.may_keep_residual
+    shares, residual = problem.shares, n + problem.shares
+    slacks = residual + problem.may_keep_residual
     groups = min(rows, 1 if problem.shared else _OWN_SLACKS + 1)
     size = slacks + 2 * groups * problem.slack
     path = np.zeros((m, size))
     for row in range(m):
         for i in range(n):
             path[row, i] = jacobian[row, i]
-        path[row, n] = -twist[row]
+        path[row, n + problem.share_of[row]] = -twist[row]
         if problem.may_keep_residual:
-            path[row, n + 1] = -problem.residual[row]
+            path[row, residual] = -problem.residual[row]
     hessian, linear = np.zeros((size, size)), np.empty(size)
     squared_speed = 0.0
     for i in range(n):
@@ -165,9 +171,10 @@ def _matrices(
         squared_speed += problem.weights[i] * problem.desired[i] * problem.desired[i]
     for i in range(n, size):
         hessian[i, i] = 1e-3
-    linear[n] = -problem.price * _PRICE_SCALE * squared_speed - 1e-3
+    for i in range(n, residual):
+        linear[i] = -problem.price * _PRICE_SCALE * squared_speed - 1e-3
     if problem.may_keep_residual:
-        linear[n + 1] = (_PRICE_RESIDUAL_STRICT if problem.slack and not problem.path_gives_way
+        linear[residual] = (_PRICE_RESIDUAL_STRICT if problem.slack and not problem.path_gives_way
                          else _PRICE_RESIDUAL)
     if problem.path_gives_way:
         for row in range(m):
@@ -183,9 +190,8 @@ def _matrices(
         # Proportional braking alone, r = 1, may be all there is: likewise.
         high[i] = 1.0 + _ROUND_OFF
     # An arm at rest on a barrier has s = 0 and nothing else: round-off must not shut that out.
-    low[n], high[n] = -_ROUND_OFF, 1.0
-    if problem.whole:
-        low[n] = 1.0
+    for i in range(n, n + shares):
+        low[i], high[i] = 1.0 if problem.whole else -_ROUND_OFF, 1.0
     for i in range(n):
         low[i], high[i] = problem.lower[i], problem.upper[i]
     for row in range(m):

@@ -142,5 +142,6 @@ class SlowDown:
         twists = (arm.joint_screws * dq @ self._robot.supports.T).T
         ends = [twists[:, :3] + np.cross(twists[:, 3:], end)
                 for end in (arm.segment_start, arm.segment_end)]
-        points = np.vstack((*ends, (arm.tip_jacobian @ dq)[:3]))
+        tips = (arm.tip_jacobian @ dq).reshape(-1, 6)[:, :3]
+        points = np.vstack((*ends, tips))
         return float(np.sqrt((points * points).sum(axis=1)).max())

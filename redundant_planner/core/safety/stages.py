@@ -1,6 +1,7 @@
 """The safety filter: the joint velocity nearest to the desired one that breaks no limit.
 
-One small QP per tick (DAQP) in the joint velocity q̇ and the share s of the commanded twist:
+One small QP per tick (DAQP) in the joint velocity q̇ and the share s of the commanded twist. Of
+an arm with several tips each twist has a share of its own, unless the tips are coupled:
 
     minimise   ½ ‖q̇ − q̇_des‖²_W − price · s
     subject to J q̇ = s ẋ,  0 ≤ s ≤ 1          the direction is kept, only speed gives way
@@ -24,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.kernels import Indices
 from redundant_planner.core.safety.barriers import barrier_bounds, Barriers, urgent_rows
 from redundant_planner.core.safety.limits import (
     barrier_rate,
@@ -88,6 +90,7 @@ class Request(NamedTuple):
         turning: (m,) the tip velocity ½ dt J̇ q̇ that comes of J's turning within the tick:
             J q̇ is that much less than the tip's motion, at any speed.
         q, previous: (n,) measured positions and the velocity of the last tick.
+        share_of: (m,) which share s each axis goes with, 0 first; all with one if None.
     """
 
     desired: Array
@@ -98,6 +101,7 @@ class Request(NamedTuple):
     turning: Array
     q: Array
     previous: Array
+    share_of: Indices | None = None
 
 
 class Filtered(NamedTuple):
@@ -105,12 +109,13 @@ class Filtered(NamedTuple):
 
     Attributes:
         dq: (n,) joint velocity.
-        scale: s, the share of the commanded twist that is followed.
+        scale: s, the least share of the commanded twist that is followed.
         residual: r, the share of the previous twist that could not be braked away.
         stage: which problem it comes from.
         joints: indices of the joints whose bound acts.
         pairs: indices of the barriers that act.
         cut_short: stages before it whose problem took more iterations than it may.
+        scales: all shares, where there are several; None where all are `scale`.
     """
 
     dq: Array
@@ -120,6 +125,7 @@ class Filtered(NamedTuple):
     joints: Found
     pairs: Found
     cut_short: tuple[Stage, ...] = ()
+    scales: Array | None = None
 
     @classmethod
     def untouched(cls, dq: Array) -> Filtered:
@@ -173,6 +179,8 @@ def safe_velocity(
     # To leave a margin less soon is cheaper than to bring another pair nearer to each other.
     spare = barriers.spare + np.maximum(-barriers.value, 0.0)
     residual = share * (request.jacobian @ previous) + request.turning
+    share_of = np.zeros(len(residual), np.intp) if request.share_of is None else request.share_of
+    shares = 1 if request.share_of is None else int(share_of.max()) + 1
     cut_short: list[Stage] = []
     for rule in _RULES:
         # Speeding up would cost an acceleration limit later, if none can be kept now: brake.
@@ -192,22 +200,23 @@ def safe_velocity(
             request.turning, residual, low if brakes else lower, high if brakes else upper,
             gradient, bounds,
             barrier_rate(gain, until, dt) * spare[:rows] if rule.slack else _NO_SPARE,
-            weights, price, rule.residual and not leaves, rule.slack, rule.shared,
+            weights, price, share_of, shares, rule.residual and not leaves, rule.slack, rule.shared,
             rule.path and may_yield, leaves and rule.path)
         found, out_of_iterations = solve(problem)
         if out_of_iterations and rule.stage not in cut_short:
             cut_short.append(rule.stage)
         if may_slide and rows and rule.stage is Stage.SCALED and not (
                 found is not None and (
-                    found.scale >= 1.0 or not (slides or len(found.pairs)))):
+                    found.scales.min() >= 1.0 or not (slides or len(found.pairs)))):
             slid = _slid(problem, request, limits, longer, dt)
             if slid is not None:
                 return slid
         if found is not None:
             return Filtered(
-                found.dq, 0.0 if rule.slack else found.scale,
+                found.dq, 0.0 if rule.slack else float(found.scales.min()),
                 share * found.residual if rule.residual else 0.0, rule.stage, found.joints,
-                found.pairs, tuple(cut_short))
+                found.pairs, tuple(cut_short),
+                None if shares == 1 or rule.slack else found.scales)
         # Where nothing but proportional braking is left, the solver may miss it by round-off.
         slowed = share * previous
         if rule.stage is Stage.BRAKING and bool(

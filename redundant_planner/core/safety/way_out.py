@@ -90,11 +90,11 @@ def way_out(
         moves += steps[best]
     if not moves.any():
         return None
-    axes = here.tip_rotation[0].T
+    axes = here.tip_rotations[0].T
     return WayOut(
         tuple((robot.joint_names[j], bool(moves[j] > 0.0)) for j in np.flatnonzero(moves)),
-        axes @ (arms.tip_position[0] - here.tip_position[0]),
-        np.asarray(pin.rpy.matrixToRpy(axes @ arms.tip_rotation[0])))
+        axes @ (arms.tip_positions[0] - here.tip_positions[0]),
+        np.asarray(pin.rpy.matrixToRpy(axes @ arms.tip_rotations[0])))
 
 
 def _singular_values(arms: KinematicsAlong) -> Array:

@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import RobotConstants
-from redundant_planner.core.redundancy.reference import followed_pose
+from redundant_planner.core.redundancy.reference import followed_poses
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class ComingBack:
 
     def reset(self) -> None:
         """The arm is on its path, wherever that is."""
-        self._home: Pose | None = None  # where the path has got to
+        self._home: Poses | None = None  # where the path has got to
         self._goes = False  # by a free way
         self._nearest = np.inf
         self._waited = 0.0
@@ -43,19 +43,21 @@ class ComingBack:
         return self._home is not None
 
     @property
-    def target(self) -> Pose | None:
+    def target(self) -> Pose | Poses | None:
         """Where a free way shall lead; None where the tip gets back by itself, or is there."""
-        return self._home if self._goes else None
+        if self._home is None or not self._goes:
+            return None
+        return self._home if len(self._robot.tips) > 1 else self._home.first
 
     def note(
-        self, reference: Pose, tip: Pose, followed: Array, dt: float, *, leaving: bool,
+        self, reference: Poses, tips: Poses, followed: Array, dt: float, *, leaving: bool,
         lost: bool,
     ) -> bool:
         """Note how a tick went.
 
         Args:
-            reference: where the tip should have been.
-            tip: where it was.
+            reference: where the tips should have been.
+            tips: where they were.
             followed: (m,) the part of the path that was followed.
             dt: [s].
             leaving: whether the arm evades something.
@@ -69,10 +71,10 @@ class ComingBack:
                 return False
             self._home = reference
         if not self._goes:
-            self._home = followed_pose(
+            self._home = followed_poses(
                 self._home, followed, self._constants.rows, self._constants.in_tool, dt)
         off = float(np.abs(self._robot.task_rows(
-            se3.pose_error(self._home, tip, self._robot.in_tool))).max())
+            se3.poses_error(self._home, tips, self._robot.in_tool))).max())
         if off < _BACK and not leaving:
             self.reset()
         elif self._goes:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, stacked
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Request
 from redundant_planner.core.target.curve_search import CurveSearch, OVERLAP
@@ -188,7 +188,7 @@ class FreeWay:
             self._aside += start.dt
             if self._aside > _ASIDE:
                 self._think(start, space())
-        elif self._goes_to_pose:
+        elif self._may_go_straight:
             self.stretch = Stretch.LINE
 
     def went_on(self, followed: float, residual: float, dt: float) -> None:
@@ -199,22 +199,23 @@ class FreeWay:
         self._patience.note(self._way.left, dt)
 
     @property
-    def _goes_to_pose(self) -> bool:
-        """Whether the tip shall be somewhere, rather than the joints."""
+    def _may_go_straight(self) -> bool:
+        """Whether one tip shall be somewhere, which a line may lead to."""
         return isinstance(self._target, Pose)
 
     def _is_another(self, target: Goal) -> bool:
         known = self._target
-        if isinstance(target, Pose) and isinstance(known, Pose):
-            return float(np.abs(se3.pose_error(target, known, False)).max()) > _ANOTHER
-        return (known is None or isinstance(target, Pose) or isinstance(known, Pose)
+        if isinstance(target, tuple) and isinstance(known, tuple):
+            return float(np.abs(
+                se3.poses_error(stacked(target), stacked(known), False)).max()) > _ANOTHER
+        return (known is None or isinstance(target, tuple) or isinstance(known, tuple)
                 or not np.array_equal(target, known))
 
     def _is_near(self, start: Start) -> bool:
         if not isinstance(self._target, Pose):
             return False
         away = self._robot.full_twist(self._robot.task_rows(
-            se3.pose_error(self._target, start.reference, self._robot.in_tool)))
+            se3.pose_error(self._target, start.first_reference, self._robot.in_tool)))
         return bool(np.linalg.norm(away[:3]) < _NEAR and np.linalg.norm(away[3:]) < _NEAR_ANGLE)
 
     def _strayed(self, start: Start) -> float:
@@ -269,7 +270,7 @@ class FreeWay:
         search = finder.search
         self._age += start.dt
         self._look_age += start.dt
-        if self._goes_to_pose and not self.tried_line and search.way is None and (
+        if self._may_go_straight and not self.tried_line and search.way is None and (
                 self._age >= _LONGEST or self.out_of_reach):
             # As near as it gets. To find a line is work enough for a tick.
             self.stretch, self.tried_line = Stretch.LINE, True

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.errors import StateError
+from redundant_planner.core.errors import known, StateError
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import checked_pose, Pose
+from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses
 from redundant_planner.core.target.chunk import Chunk
 
 Array = npt.NDArray[np.float64]
 
-# A pose in the base frame, or joint positions (n,) [rad, m].
-Goal = Pose | Array
+# A pose in the base frame, or of each of several tips, or joint positions (n,) [rad, m].
+Goal = Pose | Poses | Array
 # A goal, or the way to one with its times.
 Target = Goal | Chunk
 # A chunk may go beyond the limits by this, as measured positions do; it is followed up to them
@@ -37,7 +39,11 @@ def checked_target(target: Target, robot: Robot) -> Target:
 
 def checked_goal(target: Goal, robot: Robot) -> Goal:
     """Return a pose or joint positions as arrays of numbers; errors as `checked_target`."""
+    if isinstance(target, Poses):
+        return target
     if isinstance(target, tuple):
+        if len(robot.tips) > 1:
+            raise StateError(f'the target is one pose; say of which tip: {known(robot.tips)}')
         return checked_pose(target)
     q = robot.checked_posture(target)
     beyond = (q < robot.position_min) | (q > robot.position_max)
@@ -60,3 +66,24 @@ def _check_range(chunk: Chunk, robot: Robot) -> None:
             f"the chunk takes joint '{robot.joint_names[j]}' from {low[j]:.6g} to {high[j]:.6g}; "
             f'it must stay within {robot.position_min[j]:.6g} to {robot.position_max[j]:.6g}'
             for j in np.flatnonzero(beyond)))
+
+
+def poses_of_tips(
+    targets: Mapping[str, Pose], robot: Robot, others: Poses,
+) -> Poses:
+    """Return where each tip of a robot shall go.
+
+    Args:
+        targets: tip → its pose in the base frame.
+        robot: the robot.
+        others: where tips that are not named shall be.
+
+    Raises:
+        StateError: there is no such tip, or a pose is none.
+    """
+    unknown = [tip for tip in targets if tip not in robot.tips]
+    if unknown or not targets:
+        raise StateError(f'there are targets for {known(unknown) if unknown else "no tip"}; '
+                         f"the tips of '{robot.name}' are {known(robot.tips)}")
+    return Poses.of(*(checked_pose(targets[tip]) if tip in targets else other
+                      for tip, other in zip(robot.tips, others.each)))

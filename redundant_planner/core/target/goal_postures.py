@@ -1,4 +1,4 @@
-"""Postures with the tip at a pose: from random ones, and on along the null space from each."""
+"""Postures with the tips at their poses: from random ones, and on along the null space from each."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.robot.turns import nearest_turn, TURN
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.inverse_kinematics import AT_POSE, self_motion, solve
@@ -27,7 +27,7 @@ _SPREAD = 0.5
 
 
 def goal_postures(
-    space: FreeSpace, q: Array, pose: Pose, random: np.random.Generator,
+    space: FreeSpace, q: Array, poses: Poses, random: np.random.Generator,
 ) -> Generator[list[Place] | None, None, None]:
     """Yield postures, some after each piece of work and often none; None after each guess.
 
@@ -38,20 +38,20 @@ def goal_postures(
     Args:
         space: where the arm may be.
         q: (n,) where it is.
-        pose: that the tip shall have.
+        poses: that the tips shall have.
         random: the numbers.
     """
     low, high = space.joint_ranges(q)
     guess, guesses, known = q, 0, _Known(len(q))
     while True:
-        found = posture_at(space, guess, pose)
+        found = posture_at(space, guess, poses)
         yield []
         if found is not None:
             found = nearest_turn(found, q, space.joints.position_max)
             yield _places(space, [found])
             for aside in _asides(space, random):
                 beside = self_motion(
-                    found, pose, aside, _ASIDE_SIZE, _ASIDE, space.robot.chain, space.joints)
+                    found, poses, aside, _ASIDE_SIZE, _ASIDE, space.robot.chain, space.joints)
                 space.spend(_COST_OF_POSTURE * len(beside))
                 postures = known.others_of(nearest_turn(beside, q, space.joints.position_max))
                 yield []
@@ -87,9 +87,9 @@ def only_posture(
         yield None
 
 
-def posture_at(space: FreeSpace, guess: Array, pose: Pose) -> Array | None:
-    """Return a posture (n,) with the tip at a pose; None where a guess leads elsewhere."""
-    found = solve(guess, pose, space.robot.chain, space.joints)
+def posture_at(space: FreeSpace, guess: Array, poses: Poses) -> Array | None:
+    """Return a posture (n,) with the tips at their poses; None where a guess leads elsewhere."""
+    found = solve(guess, poses, space.robot.chain, space.joints)
     space.spend(_COST_OF_STEP * (1 + found.steps))
     return found.q if found.error < AT_POSE else None
 

@@ -1,4 +1,4 @@
-"""Postures with the tip at a pose, and others on from each along the null space.
+"""Postures with the tips at their poses, and others on from each along the null space.
 
 The steps are Levenberg's and Marquardt's, damped by a share of the squared error that is left:
 they converge quadratically near a singularity, too (Yamashita and Fukushima 2001; Sugihara 2011).
@@ -24,7 +24,7 @@ from redundant_planner.core.robot.kinematics import (
     new_kinematics_compiled,
     new_places,
 )
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Poses
 
 Array = npt.NDArray[np.float64]
 
@@ -54,13 +54,13 @@ class Solution(NamedTuple):
 
 @kernel
 def _solve(
-    arm: Kinematics, places: JointPlaces, pose: Pose, chain: Chain, joints: PathJoints,
+    arm: Kinematics, places: JointPlaces, poses: Poses, chain: Chain, joints: PathJoints,
 ) -> tuple[float, int]:
-    """Lead an arm's posture to a pose; return the error at its worst axis, and the steps."""
+    """Lead an arm's posture to its tips' poses; return the error at its worst axis, and the steps."""
     squares = np.empty(_MOST_STEPS + 1)
     for step in range(_MOST_STEPS + 1):
         fill_tip(chain, places, arm)
-        error = error_to(pose, Pose(arm.tip_position, arm.tip_rotation), chain.rows,
+        error = error_to(poses, Poses(arm.tip_positions, arm.tip_rotations), chain.rows,
                          chain.in_tool)
         worst, squares[step] = 0.0, 0.0
         for value in error:
@@ -79,33 +79,34 @@ def _solve(
 
 
 @entry
-def solve(guess: Vector, pose: Pose, chain: Chain, joints: PathJoints) -> Solution:
+def solve(guess: Vector, poses: Poses, chain: Chain, joints: PathJoints) -> Solution:
     """Return the posture that a guess (n,) leads to.
 
-    Its error is above `AT_POSE` where it leads elsewhere than to the pose.
+    Its error is above `AT_POSE` where it leads elsewhere than to the tips' poses.
     """
-    arm = new_kinematics_compiled(guess, len(chain.rows), 0)
-    error, steps = _solve(arm, new_places(len(guess)), pose, chain, joints)
+    arm = new_kinematics_compiled(guess, len(chain.rows), len(chain.tip_joints), 0)
+    error, steps = _solve(arm, new_places(len(guess)), poses, chain, joints)
     return Solution(arm.q, error, steps)
 
 
 @entry
 def self_motion(
-    q: Vector, pose: Pose, aside: Vector, size: float, count: int, chain: Chain,
+    q: Vector, poses: Poses, aside: Vector, size: float, count: int, chain: Chain,
     joints: PathJoints,
 ) -> Matrix:
-    """Return the postures (k, n) at a pose on from another one (n,) that has the tip there.
+    """Return the postures (k, n) at poses of the tips on from another one (n,) at these.
 
     Args:
         q: the first posture.
-        pose: of the tip.
+        poses: of the tips.
         aside: (n,) which way; its part in the null space counts.
         size: of a step [rad, m].
-        count: how many postures at most. They end where a step does not lead back to the pose.
+        count: how many postures at most. They end where a step does not lead back to the poses.
         chain, joints: of the arm.
     """
     found, way = np.empty((count, len(q))), aside.copy()
-    arm, places = new_kinematics_compiled(q, len(chain.rows), 0), new_places(len(q))
+    arm = new_kinematics_compiled(q, len(chain.rows), len(chain.tip_joints), 0)
+    places = new_places(len(q))
     fill_tip(chain, places, arm)
     for k in range(count):
         parts = null_space.decompose(arm.jacobian * joints.scaling)
@@ -120,7 +121,7 @@ def self_motion(
             way[j] /= length
             there = arm.q[j] + size * way[j]
             arm.q[j] = min(max(there, joints.position_min[j]), joints.position_max[j])
-        error, _ = _solve(arm, places, pose, chain, joints)
+        error, _ = _solve(arm, places, poses, chain, joints)
         if error >= AT_POSE:
             return found[:k].copy()
         found[k] = arm.q

@@ -12,7 +12,7 @@ from collections.abc import Generator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import stacked
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.goal import Goal
@@ -95,8 +95,8 @@ class PathSearch:
         self._tightest: Array | None = None  # room (k,) of the goal that is nearly free
         self._random = np.random.default_rng(0)
         self._postures = (
-            goal_postures(space, start, target, self._random) if isinstance(target, Pose) else
-            only_posture(space, start, target))
+            only_posture(space, start, target) if isinstance(target, np.ndarray) else
+            goal_postures(space, start, stacked(target), self._random))
         self._guesses, self._reached = 0, False
         self._ranges = space.joint_ranges(start)
         self._memory: Motion | None = None

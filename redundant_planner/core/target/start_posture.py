@@ -141,7 +141,8 @@ class _Judge:
         """Return what is seen at postures (N, n)."""
         arms = self._robot.kinematics_along(postures)
         values: Array = np.asarray(np.linalg.svd(arms.jacobian, compute_uv=False), dtype=float)
-        room, lowest = np.full(len(postures), np.inf), arms.tip_position[:, 2].copy()
+        room, tips = np.full(len(postures), np.inf), len(self._robot.tips)
+        lowest = arms.tip_positions[:, 2].reshape(-1, tips).min(axis=1)
         if len(self._pairs):
             room = np.array([
                 link_distances(start, end, self._radii, self._pairs).distance.min()
@@ -149,11 +150,11 @@ class _Judge:
         if len(self._radii):
             lowest = np.minimum(lowest, np.minimum(
                 arms.segment_start[..., 2], arms.segment_end[..., 2]).min(axis=1))
-        tip = arms.tip_position.copy()
+        tip = arms.tip_positions[::tips].copy()
         tip[:, :2] -= self._shoulder[:2]
         elbow = np.array([self._robot.joint_points(q)[:, 2].max() for q in postures])
         return _Seen(postures, values.prod(axis=1), values[:, -1], room, tip, lowest, elbow,
-                     arms.tip_rotation[:, 2, 2])
+                     arms.tip_rotations[::tips, 2, 2])
 
     def compare_with(self, seen: _Seen) -> None:
         """Take the best of what is seen as what is possible."""

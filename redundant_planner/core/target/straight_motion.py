@@ -133,7 +133,8 @@ def new_scratch(q: Vector, chain: Chain, around: Around) -> Scratch:
     """Return arrays for `write_room`."""
     shape = around.obstacles.smallest.shape
     return Scratch(
-        new_kinematics_compiled(q, len(chain.rows), len(chain.capsule_joint)), new_places(len(q)),
+        new_kinematics_compiled(
+            q, len(chain.rows), len(chain.tip_joints), len(chain.capsule_joint)), new_places(len(q)),
         Pairs(np.empty(shape), np.empty(shape), np.empty(shape)),
         np.empty((len(around.links), 2, 3)), np.full(len(around.forgiven), _AMPLE))
 
@@ -167,11 +168,13 @@ def write_room(chain: Chain, around: Around, scratch: Scratch, room: OutVector) 
     write_link_distances(arm.segment_start, arm.segment_end, around.radii, around.links,
                          room[links:ends], scratch.points)
     if around.in_cone:
-        cosine = 0.0
-        for i in range(3):
-            for j in range(3):
-                cosine += around.cone.direction[i] * arm.tip_rotation[i, j] * around.cone.axis[j]
-        room[ends] = around.cone.angle - math.acos(min(max(cosine, -1.0), 1.0))
+        for t in range(len(arm.tip_rotations)):
+            cosine, rotation = 0.0, arm.tip_rotations[t]
+            for i in range(3):
+                for j in range(3):
+                    cosine += around.cone.direction[i] * rotation[i, j] * around.cone.axis[j]
+            room[ends] = min(
+                room[ends], around.cone.angle - math.acos(min(max(cosine, -1.0), 1.0)))
     for i in range(len(room)):
         room[i] += around.forgiven[i]
 

@@ -15,12 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
-from redundant_planner.core.horizon.poses_ahead import poses_of
 from redundant_planner.core.horizon.preview import Preview, PreviewAhead
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.target.goal_postures import off_pose
 from redundant_planner.core.target.moving_target import (
@@ -151,7 +150,7 @@ class StraightWay:
             assert isinstance(target, Pose)
             self._given = numbers_of(target, self._given)
             numbers.append((self._given, age))
-        self._target.sense(numbers, start.dt, lambda n: self._is_near(pose_of(n), start.reference))
+        self._target.sense(numbers, start.dt, lambda n: self._is_near(pose_of(n), start.first_reference))
         estimate = self._target.estimate
         return given if estimate is None else pose_of(estimate.value)
 
@@ -172,8 +171,8 @@ class StraightWay:
             value, velocity = estimate.after(delay + 0.5 * start.dt)[:2]
             rates = twist_of(value, velocity)
         # Base axes: a line is straight there.
-        away = self._part(se3.pose_error(target, start.reference, False), start.reference)
-        velocity = self._part(rates, start.reference)
+        away = self._part(se3.pose_error(target, start.first_reference, False), start.first_reference)
+        velocity = self._part(rates, start.first_reference)
         self.left = self._length(away)
         self._patience.note(self.left, start.dt)
         if self._target.moves and self.left < _CLOSE_BEHIND:
@@ -182,7 +181,7 @@ class StraightWay:
             self._looked, self._seconds = None, 0.0
             return np.zeros(6), None
         self._age += start.dt
-        now = self._in_base_axes(followed, start.reference)
+        now = self._in_base_axes(followed, start.first_reference)
         looked = self._look(start, target, away, now)
         profile = looked.profile
         f = profile.speed_at(min(self.left, profile.left[0]), start.dt)
@@ -193,7 +192,7 @@ class StraightWay:
         twist = self._limited(wanted, now, profile.speeding_at(self.left), start.dt)
         # In command axes that turn with the tip: those of the middle of the tick.
         middle = se3.displaced(
-            start.reference, np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
+            start.first_reference, np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
         twist = self._in_command_axes(twist, middle)
         if self._target.moves:
             return twist, None
@@ -246,11 +245,11 @@ class StraightWay:
             if self._target.moves or moved <= _NEWS * self.left:
                 return looked
         self._age = 0.0
-        robot, reference = self._robot, start.reference
+        robot, reference = self._robot, start.first_reference
         # From where the tip should be: what it is beside that is none of the way.
         shares = np.linspace(0.0, 1.0, _NODES + 1)
         ways = [se3.displaced(reference, share * away, False) for share in shares]
-        nodes = least_norm_path(robot, start.arm.q, poses_of(ways), self._joints)
+        nodes = least_norm_path(robot, start.arm.q, Poses.of(*ways), self._joints)
         profile = profile_of(
             nodes, max(self.left, _OVER), self._limits.velocity_max,
             self._limits.acceleration_max)
@@ -264,7 +263,7 @@ class StraightWay:
 
     def _miss(self, nodes: Array, target: Pose) -> float:
         """Return how near a way (K, n), or what settles from its end, comes to a target."""
-        due = poses_of([target] * _STEPS_AT_ONCE)
+        due = Poses.of(*[target] * _STEPS_AT_ONCE)
         nearest, q = off_pose(self._robot, nodes[-1], target), nodes[-1]
         if nearest < _OUT_OF_REACH:
             return nearest

@@ -116,12 +116,17 @@ def to_root(trees: Trees, tree: int, index: int) -> list[int]:
 def _into_cone(
     chain: Chain, around: Around, scratch: Scratch, low: Vector, high: Vector, q: OutVector,
 ) -> None:
-    """Lead a posture (n,) into the tip's cone, or nearer to that."""
+    """Lead a posture (n,) into the tips' cones, or nearer to that: the worst one first."""
     for _ in range(_STEPS_INTO_CONE):
         scratch.arm.q[:] = q
         fill(chain, scratch.places, scratch.arm)
-        room, gradient = cone_room(around.cone, scratch.arm.tip_rotation,
-                                   scratch.arm.joint_screws)
+        arm = scratch.arm
+        room, gradient = cone_room(around.cone, arm.tip_rotations[0], arm.tip_jacobian[:6])
+        for t in range(1, len(arm.tip_rotations)):
+            other, slope = cone_room(
+                around.cone, arm.tip_rotations[t], arm.tip_jacobian[6 * t:6 * t + 6])
+            if other < room:
+                room, gradient = other, slope
         if room > _ROOM_IN_CONE * around.cone.angle:
             return
         missing = 2.0 * _ROOM_IN_CONE * around.cone.angle - room

@@ -20,7 +20,7 @@ from redundant_planner.core.redundancy.command import SLOWEST
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses, poses_error
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Filtered
@@ -124,6 +124,9 @@ class Way:
         if isinstance(target, Pose):
             stream.reset()
             target = line.sense(target, news, start)
+        elif isinstance(target, Poses):
+            line.reset()
+            stream.reset()
         else:
             line.reset()
             stream.sense(news, start)
@@ -140,7 +143,7 @@ class Way:
         if joints is not None:
             line.begin()
             return self._by(joints, start)
-        assert isinstance(target, Pose)  # a free way leads the joints to the end
+        assert isinstance(target, Pose)  # a free way leads joints, and several tips, to the end
         return Aim(*line.command(start, target, followed, delay), None)
 
     def _by(self, joints: JointMotion, start: Start) -> Aim:
@@ -170,16 +173,18 @@ class Way:
         """Return how far the arm has come, from where it is."""
         if isinstance(target, Chunk):
             return self._chunks.progress(target, arm)
-        tip = Pose(arm.tip_position, arm.tip_rotation)
+        tip = arm.tips.first
         if isinstance(target, Pose):
             found = self._line.progress(target, tip)
+        elif isinstance(target, Poses):
+            found = self._of_tips(target, arm)
         else:
             target = nearest_turn(
                 self._within_limits(target), arm.q, self._robot.position_max)
             there = self._robot.kinematics(target)
             off = float(np.abs(target - arm.q).max(initial=0.0))
             found = self._line.progress(
-                Pose(there.tip_position, there.tip_rotation), tip)._replace(
+                there.tips.first, tip)._replace(
                     state=TargetState.REACHED if off < REACHED else TargetState.MOVING, joint=off)
         free = self._free
         if found.state is TargetState.REACHED:
@@ -202,6 +207,16 @@ class Way:
         """Why there is no way to the target; empty where there is one, or the arm still thinks."""
         return self._free.lacks
 
+    def _of_tips(self, targets: Poses, arm: Kinematics) -> Progress:
+        """Return how far several tips have come: the one that is furthest from its target."""
+        robot = self._robot
+        off = robot.full_twist(robot.task_rows(
+            poses_error(targets, arm.tips, robot.in_tool))).reshape(-1, 2, 3)
+        distance, angle = np.linalg.norm(off, axis=2).max(axis=0).tolist()
+        reached = max(distance, angle) < REACHED
+        return Progress(TargetState.REACHED if reached else TargetState.MOVING, distance, angle,
+                        0.0, 0.0)
+
     def _within_limits(self, q: Array) -> Array:
         """Return joint positions (n,) no further than the limits and their margin allow."""
         return np.clip(q, *self._range)
@@ -220,6 +235,6 @@ def _same(target: Goal, known: Goal | None) -> bool:
     """Return whether a target is the one that is known already."""
     if target is known:
         return True
-    if known is None or isinstance(target, Pose) != isinstance(known, Pose):
+    if known is None or type(target) is not type(known):
         return False
     return all(map(np.array_equal, target, known))
