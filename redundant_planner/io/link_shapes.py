@@ -83,11 +83,13 @@ def larger_than_the_rest(robot: Robot) -> list[str]:
     joints = robot.chain.capsule_joint
     lengths = np.array([float(np.linalg.norm(c.end - c.start)) + 2.0 * c.radius
                         for c in robot.capsules])
-    carried = np.linalg.norm([*robot.chain.offset[1:], robot.chain.tip_from_joint], axis=1)
+    carried, chain = np.zeros(robot.n + 1), robot.chain
+    np.maximum.at(carried, chain.parents, np.linalg.norm(chain.offset, axis=1))
+    np.maximum.at(carried, chain.tip_joints, np.linalg.norm(chain.tip_from_joint, axis=1))
     said = []
     for c, joint, length in zip(robot.capsules, joints, lengths):
         shapes = np.bincount(joints[joints != joint], lengths[joints != joint], robot.n + 1)[1:]
-        rest = float(np.maximum(shapes, carried).sum())
+        rest = float(np.maximum(shapes, carried[1:]).sum())
         if length > rest:
             said.append(
                 f"the shape of link '{c.name}' is {length:.3g} m long, the rest of the arm "
