@@ -19,6 +19,7 @@ from redundant_planner.core.errors import known, ParameterError, PlannerError, s
 from redundant_planner.core.horizon.evasive_plan import Aside, EvasivePlan
 from redundant_planner.core.horizon.look_ahead import LookAhead, MOST_OBSTACLES
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
+from redundant_planner.core.kernels import Indices
 from redundant_planner.core.machine_code.packed import Packed
 from redundant_planner.core.obstacles.clearance import pseudo_distance
 from redundant_planner.core.obstacles.contacts import AllowedContacts, Contact, contacts
@@ -28,6 +29,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.redundancy.command import limited_twists
+from redundant_planner.core.redundancy.coupling import Coupling
 from redundant_planner.core.redundancy.reference import (
     followed_poses,
     reference_of,
@@ -36,7 +38,7 @@ from redundant_planner.core.redundancy.reference import (
 )
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose, Poses
+from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses, poses_error, turned
 from redundant_planner.core.safety.barriers import (
     Barriers,
     barriers_in,
@@ -174,8 +176,9 @@ class Planner:
         self._given: tuple[tuple[Obstacle, ...], Scene] = (), Scene.of()  # obstacles, if a list is
         self._controlled = robot.full_twist(np.ones(robot.m))
         # Each tip has a share of the commanded speed of its own.
-        self._share_of = robot.rows // 6 if len(robot.tips) > 1 else None
+        self._share_of_tips = robot.rows // 6 if len(robot.tips) > 1 else None
         self._given_tips: tuple[Mapping[str, Pose], Poses] | None = None
+        self._coupling: Coupling | None = None
         self._last = self._at_rest()
         self._smoothing = Smoothing(
             robot.n, reversal_time(robot.acceleration_max, robot.jerk_max) if filtered else 0.0)
@@ -208,7 +211,8 @@ class Planner:
             constants, limits, gains, room_for_rows(constants, len(robot.tips))))
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
-        self._way = Way(robot, parameters, limits, constants, gains, getattr(self, '_way', None))
+        self._way = Way(robot, parameters, limits, constants, gains, getattr(self, '_way', None),
+                        self._coupling)
         self._back = ComingBack(robot, constants)
         self._evasive = EvasivePlan(robot, constants, limits, gains)
         self._way_out = LastWayOut(robot, constants, limits, parameters.singularity_margin)
@@ -235,6 +239,41 @@ class Planner:
             self.robot = before
             raise
 
+    @property
+    def coupling(self) -> Coupling | None:
+        """How tips hold an object together; None where each moves on its own."""
+        return self._coupling
+
+    def couple(self, held: Pose | None = None) -> None:
+        """Keep all tips where they are to each other: they hold one object.
+
+        From the next tick on, `step` takes the object's twist (6,) and its pose as a target.
+
+        Args:
+            held: the object's pose in the base frame; half way between the tips and in base axes
+                if None.
+
+        Raises:
+            StateError: there is one tip, an axis of a tip is not controlled, or no tick has told
+                where they are.
+        """
+        robot, due = self.robot, self._last.reference
+        if len(robot.tips) < 2 or robot.m < 6 * len(robot.tips):
+            raise StateError(f"'{robot.name}' has {robot.m} controlled axes of the tips "
+                             f'{known(robot.tips)}; to couple takes two tips with six axes each')
+        if due is None:
+            raise StateError('the tips cannot be coupled before a tick has told where they are')
+        self._set_coupling(Coupling.of(due, None if held is None else checked_pose(held)))
+
+    def uncouple(self) -> None:
+        """Let each tip move on its own again."""
+        self._set_coupling(None)
+
+    def _set_coupling(self, coupling: Coupling | None) -> None:
+        self._coupling = coupling
+        self._way.reset()
+        self.parameters = self._parameters
+
     def contacts(self, q: Array, scene: Scene | Sequence[Obstacle]) -> tuple[Contact, ...]:
         """Return which links touch which obstacles at a posture (n,), and whether they may.
 
@@ -244,6 +283,11 @@ class Planner:
         return contacts(
             self.robot, self.robot.kinematics(q), self._scene_of(scene),
             AllowedContacts(self._parameters.allowed_contacts, self.robot))
+
+    @property
+    def _share_of(self) -> Indices | None:
+        """Which share of the speed each controlled axis goes with; None for one share."""
+        return self._share_of_tips if self._coupling is None else None
 
     def reset(self) -> None:
         """Forget the last velocity and the reference pose: the arm stands where it is found."""
@@ -271,6 +315,20 @@ class Planner:
         if self._given_tips is None or self._given_tips[0] is not target:
             self._given_tips = target, poses_of_tips(target, self.robot, due)
         return self._given_tips[1]
+
+    def _of_object(
+        self, coupling: Coupling, target: Target | Mapping[str, Pose],
+    ) -> Poses:
+        """Return the poses of coupled tips where their object is at a target."""
+        return coupling.tips(self._of_first(coupling, target)[self.robot.tips[0]])
+
+    def _of_first(
+        self, coupling: Coupling, target: Target | Mapping[str, Pose],
+    ) -> dict[str, Pose]:
+        """Return the pose of the tip that leads where the object is at a target."""
+        if not isinstance(target, Pose):
+            raise StateError('the tips are coupled: the target has to be a pose of their object')
+        return {self.robot.tips[0]: coupling.first_at(checked_pose(target))}
 
     def _tip_results(
         self, poses: Poses, desired: Wish, result: Filtered,
@@ -352,21 +410,31 @@ class Planner:
                 within 1e-4 to 10 s.
         """
         # Sense: where the arm is, and the obstacles near it.
+        coupled = self._coupling is not None
         command, commanded = limited_twists(
-            twist, self._controlled, *self._parameters.twist_speeds)
+            twist, self._controlled[:6] if coupled else self._controlled,
+            *self._parameters.twist_speeds)
         _check_tick(dt)
         scene = self._scene_of(scene)
-        if target is not None and not isinstance(target, Mapping):
+        if not isinstance(target, Mapping | None) and not coupled:
             target = checked_target(target, self.robot)
         arm = self.robot.kinematics_at(self._posture(q, dt))
         poses, last = arm.tips, self._last
-        if isinstance(target, Mapping):
-            target = self._of_tips(target, last.reference or poses)
+        due = last.reference or poses
+        if self._coupling is not None:
+            due = self._coupling.tips(due.first)
+            command = self._coupling.first_twist(command, due.first, in_tool=self.robot.in_tool)
+            if target is not None:
+                target = self._of_object(self._coupling, target)
+                news = [Sighting(self._of_first(self._coupling, seen.target), seen.age)
+                        for seen in news]
+        elif isinstance(target, Mapping):
+            target = self._of_tips(target, due)
         news = checked_news(news, target, self.robot)
         around = self._watch.look(scene, arm, last.dq, dt)
 
         # Aim: at the target, out of the course of what moves, and along the joint path ahead.
-        aim = self._aim(Start(arm, last.reference or poses, command, last.dq, dt),
+        aim = self._aim(Start(arm, due, command, last.dq, dt),
                         commanded, around, ahead, target, news)
         start, joints = aim.start, aim.joints
 
@@ -442,6 +510,9 @@ class Planner:
                 self._smoothing.delay, self._watch.everywhere, news, free=target is None)
             start, commanded = start._replace(command=command), bool(command.any())
             says = '; '.join(filter(None, (_BACK if target is None else '', self._way.lacks)))
+        if self._coupling is not None:
+            start = start._replace(command=self._coupling.twists(
+                start.command[:6], start.reference_of(0), start.dt, in_tool=self.robot.in_tool))
         aside = self._evade(start, around, by_joints=joints is not None)
         if joints is None:
             path = self._look_ahead.velocity(
@@ -602,6 +673,8 @@ class Planner:
                 wanted - left_out * desired.motions[1], homogeneous, jacobian,
                 task.commanded + task.feedback, task.feedback, task.turning, start.arm.q,
                 start.previous, self._share_of)
+        if self._coupling is not None:
+            request = self._coupled(self._coupling, request, start, task)
         if share < 1.0:
             request = request._replace(desired=share * wanted, twist=share * request.twist)
         result = safe_velocity(
@@ -615,6 +688,24 @@ class Planner:
             result = result._replace(
                 scale=self._share_on_path(jacobian @ result.dq, task), residual=0.0)
         return result
+
+    def _coupled(
+        self, coupling: Coupling, request: Request, start: Start, task: Task,
+    ) -> Request:
+        """Return a request in which the first tip leads, and the others keep their pose to it."""
+        arm, turning = start.arm, task.turning.reshape(-1, 6)
+        if self.robot.in_tool:
+            turning = np.array([
+                turned(part, rotation) for part, rotation in zip(turning, arm.tip_rotations)])
+        off = poses_error(coupling.tips(arm.tips.first), arm.tips, False)
+        p = self._parameters
+        rates = p.feedback_gain * off[6:]
+        return request._replace(
+            jacobian=np.vstack((request.jacobian[:6], coupling.rows(arm))),
+            twist=np.concatenate((request.twist[:6], rates)),
+            feedback=np.concatenate((request.feedback[:6], rates)),
+            turning=np.concatenate((request.turning[:6], coupling.relative(turning.ravel(), arm))),
+            share_of=np.repeat((0, 1), (6, len(rates))), path_axes=6)
 
     def _share_on_path(self, twist: Array, task: Task) -> float:
         """Return the share of the command that a tip which leaves its path goes along it.
@@ -644,15 +735,22 @@ class Planner:
         if not self._filtered:
             followed = jacobian @ result.dq + task.turning - task.feedback
         elif result.stage is Stage.DESIRED:
-            return task.commanded, desired.reached
+            reached = desired.reached
+            if self._coupling is not None:
+                reached = self._coupling.tips(reached.first)
+            return task.commanded, reached
         elif result.stage is Stage.SLIDING:  # the path goes on from where the tip gets to
             followed = jacobian @ result.dq + task.turning - task.feedback
         else:
-            shares = result.scale if result.scales is None else result.scales[self._share_of]
+            shares = (result.scale if result.scales is None or self._share_of is None else
+                      result.scales[self._share_of])
             followed = shares * task.commanded + result.residual * self._last.followed
-        reference = reference_of(start, constants, self._gains)
-        return followed, followed_poses(
-            reference, followed, constants.rows, constants.in_tool, start.dt)
+        reference = followed_poses(
+            reference_of(start, constants, self._gains), followed, constants.rows,
+            constants.in_tool, start.dt)
+        if self._coupling is not None:
+            reference = self._coupling.tips(reference.first)
+        return followed, reference
 
     def _reason(
         self, result: Filtered, barriers: Barriers, around: Surroundings, aim: _Aim,

@@ -67,10 +67,9 @@ class Start(NamedTuple):
     previous: Vector
     dt: float
 
-    @property
-    def first_reference(self) -> Pose:
-        """The first tip's reference pose."""
-        return self.reference.first
+    def reference_of(self, tip: int) -> Pose:
+        """Return a tip's reference pose."""
+        return Pose(self.reference.position[tip], self.reference.rotation[tip])
 
 
 @kernel

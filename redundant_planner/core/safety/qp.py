@@ -66,7 +66,9 @@ class StageProblem(NamedTuple):
         may_keep_residual: whether a share of the residual twist may remain.
         slack: whether barriers may give way.
         shared: whether all of them share one slack: fewer variables, and a solution sooner.
-        path_gives_way: whether the path may.
+        path_gives_way: whether the path may, which is the first `path_axes` axes.
+        path_axes: how many axes of the twist are the path's; what is kept beside it never gives
+            way.
         whole: whether the shares s are 1.
     """
 
@@ -88,6 +90,7 @@ class StageProblem(NamedTuple):
     slack: bool
     shared: bool
     path_gives_way: bool
+    path_axes: int
     whole: bool
 
 
@@ -176,16 +179,18 @@ def _matrices(
     if problem.may_keep_residual:
         linear[residual] = (_PRICE_RESIDUAL_STRICT if problem.slack and not problem.path_gives_way
                          else _PRICE_RESIDUAL)
+    soft = 0
     if problem.path_gives_way:
-        for row in range(m):
+        soft = problem.path_axes
+        for row in range(soft):
             for i in range(size):
                 linear[i] += _PRICE_PATH * path[row, i] * problem.turning[row]
                 for j in range(size):
                     hessian[i, j] += _PRICE_PATH * path[row, i] * path[row, j]
-        m = 0
-    constraints = np.zeros((m + rows, size))
-    high, low = np.full(size + m + rows, _UNBOUNDED), np.zeros(size + m + rows)
-    sense = np.zeros(size + m + rows, dtype=np.int32)
+    hard = m - soft
+    constraints = np.zeros((hard + rows, size))
+    high, low = np.full(size + hard + rows, _UNBOUNDED), np.zeros(size + hard + rows)
+    sense = np.zeros(size + hard + rows, dtype=np.int32)
     for i in range(size):
         # Proportional braking alone, r = 1, may be all there is: likewise.
         high[i] = 1.0 + _ROUND_OFF
@@ -194,15 +199,15 @@ def _matrices(
         low[i], high[i] = 1.0 if problem.whole else -_ROUND_OFF, 1.0
     for i in range(n):
         low[i], high[i] = problem.lower[i], problem.upper[i]
-    for row in range(m):
+    for row in range(hard):
         for i in range(size):
-            constraints[row, i] = path[row, i]
-        low[size + row] = high[size + row] = -problem.turning[row]
+            constraints[row, i] = path[soft + row, i]
+        low[size + row] = high[size + row] = -problem.turning[soft + row]
         sense[size + row] = _EQUALITY
     for row in range(rows):
         for i in range(n):
-            constraints[m + row, i] = problem.gradient[row, i]
-        low[size + m + row] = bounds[row]
+            constraints[hard + row, i] = problem.gradient[row, i]
+        low[size + hard + row] = bounds[row]
     if problem.slack:
         demand = np.empty(rows)
         for row in range(rows):
@@ -213,7 +218,7 @@ def _matrices(
             row = int(order[rank])
             first = slacks + min(rank, groups - 1)
             second = first + groups
-            constraints[m + row, first] = constraints[m + row, second] = 1.0
+            constraints[hard + row, first] = constraints[hard + row, second] = 1.0
             hessian[first, first] = _PRICE_SPARE_SQUARED
             hessian[second, second] = _PRICE_BARRIER_SQUARED
             linear[first], linear[second] = 0.0, _PRICE_BARRIER

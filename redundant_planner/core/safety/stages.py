@@ -91,6 +91,8 @@ class Request(NamedTuple):
             J q̇ is that much less than the tip's motion, at any speed.
         q, previous: (n,) measured positions and the velocity of the last tick.
         share_of: (m,) which share s each axis goes with, 0 first; all with one if None.
+        path_axes: how many axes are the path's, the first ones; all if None. What coupled tips
+            keep beside it never gives way.
     """
 
     desired: Array
@@ -102,6 +104,7 @@ class Request(NamedTuple):
     q: Array
     previous: Array
     share_of: Indices | None = None
+    path_axes: int | None = None
 
 
 class Filtered(NamedTuple):
@@ -181,6 +184,8 @@ def safe_velocity(
     residual = share * (request.jacobian @ previous) + request.turning
     share_of = np.zeros(len(residual), np.intp) if request.share_of is None else request.share_of
     shares = 1 if request.share_of is None else int(share_of.max()) + 1
+    coupled = request.path_axes is not None
+    path_axes = len(residual) if request.path_axes is None else request.path_axes
     cut_short: list[Stage] = []
     for rule in _RULES:
         # Speeding up would cost an acceleration limit later, if none can be kept now: brake.
@@ -201,22 +206,23 @@ def safe_velocity(
             gradient, bounds,
             barrier_rate(gain, until, dt) * spare[:rows] if rule.slack else _NO_SPARE,
             weights, price, share_of, shares, rule.residual and not leaves, rule.slack, rule.shared,
-            rule.path and may_yield, leaves and rule.path)
+            rule.path and may_yield, path_axes, leaves and rule.path)
         found, out_of_iterations = solve(problem)
         if out_of_iterations and rule.stage not in cut_short:
             cut_short.append(rule.stage)
         if may_slide and rows and rule.stage is Stage.SCALED and not (
                 found is not None and (
-                    found.scales.min() >= 1.0 or not (slides or len(found.pairs)))):
+                    found.scales[0 if coupled else slice(None)].min() >= 1.0 or not (slides or len(found.pairs)))):
             slid = _slid(problem, request, limits, longer, dt)
             if slid is not None:
                 return slid
         if found is not None:
             return Filtered(
-                found.dq, 0.0 if rule.slack else float(found.scales.min()),
+                found.dq, 0.0 if rule.slack else float(
+                    found.scales[0] if coupled else found.scales.min()),
                 share * found.residual if rule.residual else 0.0, rule.stage, found.joints,
                 found.pairs, tuple(cut_short),
-                None if shares == 1 or rule.slack else found.scales)
+                None if shares == 1 or coupled or rule.slack else found.scales)
         # Where nothing but proportional braking is left, the solver may miss it by round-off.
         slowed = share * previous
         if rule.stage is Stage.BRAKING and bool(

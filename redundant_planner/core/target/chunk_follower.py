@@ -97,7 +97,7 @@ class ChunkFollower:
             followed: (6,) the tip's twist in the last tick as far as followed, in command axes.
             delay: of the commands behind what is planned [s].
         """
-        twist = self._in_base_axes(followed, start.first_reference)
+        twist = self._in_base_axes(followed, start.reference_of(0))
         now, before = (start.previous, twist), self._before
         self._before = now
         bends = [np.zeros(len(part)) if before is None else (part - earlier) / start.dt
@@ -118,7 +118,7 @@ class ChunkFollower:
 
     def twist(self, start: Start) -> tuple[Array, PreviewAhead | None]:
         """Return the twist (6,) for a tick in command axes, and those ahead; after `joints`."""
-        way, reference = self._way, start.first_reference
+        way, reference = self._way, start.reference_of(0)
         assert isinstance(way, TipChunkWay), 'the joints follow a chunk of their own'
         here, there = (Pose(*pose) for pose in zip(*way.along(
             np.array((self._s, self._s + self._wanted * start.dt)))))
@@ -218,7 +218,7 @@ class ChunkFollower:
         if chunk.of_poses:
             self._way = TipChunkWay(
                 robot, limits, self._joints, self._full_speed, chunk, begin, start.arm,
-                start.first_reference, Motion(np.zeros(6), twist, bends[1]))
+                start.reference_of(0), Motion(np.zeros(6), twist, bends[1]))
         else:
             self._way = JointChunkWay(
                 robot, limits, self._full_speed, chunk, begin,

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose, stacked
+from redundant_planner.core.robot.se3 import stacked
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Request
 from redundant_planner.core.target.curve_search import CurveSearch, OVERLAP
@@ -200,8 +200,8 @@ class FreeWay:
 
     @property
     def _may_go_straight(self) -> bool:
-        """Whether one tip shall be somewhere, which a line may lead to."""
-        return isinstance(self._target, Pose)
+        """Whether tips shall be somewhere, which lines may lead to."""
+        return isinstance(self._target, tuple)
 
     def _is_another(self, target: Goal) -> bool:
         known = self._target
@@ -212,11 +212,12 @@ class FreeWay:
                 or not np.array_equal(target, known))
 
     def _is_near(self, start: Start) -> bool:
-        if not isinstance(self._target, Pose):
+        if not isinstance(self._target, tuple):
             return False
-        away = self._robot.full_twist(self._robot.task_rows(
-            se3.pose_error(self._target, start.first_reference, self._robot.in_tool)))
-        return bool(np.linalg.norm(away[:3]) < _NEAR and np.linalg.norm(away[3:]) < _NEAR_ANGLE)
+        away = self._robot.full_twist(self._robot.task_rows(se3.poses_error(
+            stacked(self._target), start.reference, self._robot.in_tool))).reshape(-1, 6)
+        return all(bool(np.linalg.norm(off[:3]) < _NEAR and np.linalg.norm(off[3:]) < _NEAR_ANGLE)
+                   for off in away)
 
     def _strayed(self, start: Start) -> float:
         """Return how far any joint is from where it should be [rad, m]."""

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose, Poses
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.robot.turns import nearest_turn, TURN
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.inverse_kinematics import AT_POSE, self_motion, solve
@@ -122,8 +122,7 @@ def _places(space: FreeSpace, postures: Sequence[Array] | Array) -> list[Place]:
     return [Place(*found) for found in zip(postures, space.rooms(np.array(postures)))]
 
 
-def off_pose(robot: Robot, q: Array, pose: Pose) -> float:
-    """Return how far the tip is from a pose at a posture (n,), on controlled axes [m, rad]."""
-    arm = robot.kinematics(q)
-    tip = Pose(arm.tip_position, arm.tip_rotation)
-    return float(np.abs(robot.task_rows(se3.pose_error(pose, tip, robot.in_tool))).max())
+def off_poses(robot: Robot, q: Array, poses: Poses) -> float:
+    """Return how far tips are from their poses at a posture (n,), on controlled axes [m, rad]."""
+    off = se3.poses_error(poses, robot.kinematics(q).tips, robot.in_tool)
+    return float(np.abs(robot.task_rows(off)).max())

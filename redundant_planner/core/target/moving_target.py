@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.errors import shown, StateError
+from redundant_planner.core.errors import known, shown, StateError
 from redundant_planner.core.obstacles.scene import rotations
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses
 from redundant_planner.core.target.goal import checked_goal, Goal, Target
 from redundant_planner.core.target.smoother import Estimate, Sample, Smoother
 
@@ -37,11 +37,11 @@ class Sighting(NamedTuple):
     """A target that came since the last tick.
 
     Attributes:
-        target: a pose, or joint positions (n,).
+        target: a pose, or joint positions (n,); of an arm with several tips, tip → pose.
         age: of its stamp [s], by whichever clocks: differences count. None without a stamp.
     """
 
-    target: Goal
+    target: Goal | Mapping[str, Pose]
     age: float | None = None
 
 
@@ -56,8 +56,16 @@ def checked_news(
     """
     found = []
     for given, age in news:
-        checked = checked_goal(given, robot)
-        if type(checked) is not type(target):
+        checked: Goal | Mapping[str, Pose]
+        if isinstance(given, Mapping):
+            unknown = [tip for tip in given if tip not in robot.tips]
+            if unknown:
+                raise StateError(f'news has targets for {known(unknown)}; the tips of '
+                                 f"'{robot.name}' are {known(robot.tips)}")
+            checked = {tip: checked_pose(pose) for tip, pose in given.items()}
+        else:
+            checked = checked_goal(given, robot)
+        if (Poses if isinstance(checked, Mapping) else type(checked)) is not type(target):
             raise StateError('news has a target of another kind than the one that holds: '
                              f'{shown(given)}')
         if age is not None and not abs(age) < math.inf:

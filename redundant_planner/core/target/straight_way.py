@@ -16,12 +16,13 @@ import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
 from redundant_planner.core.horizon.preview import Preview, PreviewAhead
+from redundant_planner.core.redundancy.coupling import Coupling
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.safety.limits import Limits
-from redundant_planner.core.target.goal_postures import off_pose
+from redundant_planner.core.target.goal_postures import off_poses
 from redundant_planner.core.target.moving_target import (
     MovingTarget,
     numbers_of,
@@ -91,8 +92,9 @@ class StraightWay:
 
     def __init__(
         self, robot: Robot, limits: Limits, joints: PathJoints, full_speed: Array, lag: float,
+        tip: int = 0, coupling: Coupling | None = None,
     ) -> None:
-        """Prepare for an arm.
+        """Prepare for a tip of an arm.
 
         Args:
             robot: the arm.
@@ -100,10 +102,13 @@ class StraightWay:
             joints: how they are weighed and bounded.
             full_speed: highest linear and angular speed of the tip [m/s, rad/s].
             lag: behind a stream of poses [s].
+            tip: which.
+            coupling: that moves the others with it; None where they stay.
         """
         self._robot, self._limits, self._joints = robot, limits, joints
         self._full = np.repeat(full_speed, 3)
-        self._controlled = robot.full_twist(np.ones(robot.m))
+        self._controlled = robot.full_twist(np.ones(robot.m))[6 * tip:6 * tip + 6]
+        self._tip, self._coupling = tip, coupling
         self._target = MovingTarget(lag, POSE_GATE)
         self.reset()
 
@@ -150,7 +155,7 @@ class StraightWay:
             assert isinstance(target, Pose)
             self._given = numbers_of(target, self._given)
             numbers.append((self._given, age))
-        self._target.sense(numbers, start.dt, lambda n: self._is_near(pose_of(n), start.first_reference))
+        self._target.sense(numbers, start.dt, lambda n: self._is_near(pose_of(n), start.reference_of(self._tip)))
         estimate = self._target.estimate
         return given if estimate is None else pose_of(estimate.value)
 
@@ -171,8 +176,8 @@ class StraightWay:
             value, velocity = estimate.after(delay + 0.5 * start.dt)[:2]
             rates = twist_of(value, velocity)
         # Base axes: a line is straight there.
-        away = self._part(se3.pose_error(target, start.first_reference, False), start.first_reference)
-        velocity = self._part(rates, start.first_reference)
+        away = self._part(se3.pose_error(target, start.reference_of(self._tip), False), start.reference_of(self._tip))
+        velocity = self._part(rates, start.reference_of(self._tip))
         self.left = self._length(away)
         self._patience.note(self.left, start.dt)
         if self._target.moves and self.left < _CLOSE_BEHIND:
@@ -181,7 +186,7 @@ class StraightWay:
             self._looked, self._seconds = None, 0.0
             return np.zeros(6), None
         self._age += start.dt
-        now = self._in_base_axes(followed, start.first_reference)
+        now = self._in_base_axes(followed, start.reference_of(self._tip))
         looked = self._look(start, target, away, now)
         profile = looked.profile
         f = profile.speed_at(min(self.left, profile.left[0]), start.dt)
@@ -192,7 +197,7 @@ class StraightWay:
         twist = self._limited(wanted, now, profile.speeding_at(self.left), start.dt)
         # In command axes that turn with the tip: those of the middle of the tick.
         middle = se3.displaced(
-            start.first_reference, np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
+            start.reference_of(self._tip), np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
         twist = self._in_command_axes(twist, middle)
         if self._target.moves:
             return twist, None
@@ -245,11 +250,13 @@ class StraightWay:
             if self._target.moves or moved <= _NEWS * self.left:
                 return looked
         self._age = 0.0
-        robot, reference = self._robot, start.first_reference
+        robot, reference = self._robot, start.reference_of(self._tip)
         # From where the tip should be: what it is beside that is none of the way.
         shares = np.linspace(0.0, 1.0, _NODES + 1)
         ways = [se3.displaced(reference, share * away, False) for share in shares]
-        nodes = least_norm_path(robot, start.arm.q, Poses.of(*ways), self._joints)
+        due = [self._all_tips(start, way) for way in ways]
+        nodes = least_norm_path(robot, start.arm.q, Poses(*map(np.concatenate, zip(*due))),
+                                self._joints)
         profile = profile_of(
             nodes, max(self.left, _OVER), self._limits.velocity_max,
             self._limits.acceleration_max)
@@ -258,19 +265,27 @@ class StraightWay:
         twists = np.array([self._in_command_axes(speed / max(self.left, _OVER) * away, pose)
                            for speed, pose in zip(f, ways)])
         self._looked = _Looked(profile, target, Preview(times, twists), times,
-                               self._miss(nodes, ways[-1]))
+                               self._miss(nodes, due[-1]))
         return self._looked
 
-    def _miss(self, nodes: Array, target: Pose) -> float:
+    def _all_tips(self, start: Start, pose: Pose) -> Poses:
+        """Return where all tips are to be while this one is at a pose."""
+        if self._coupling is not None:
+            return self._coupling.tips(pose)
+        poses = Poses(start.reference.position.copy(), start.reference.rotation.copy())
+        poses.position[self._tip], poses.rotation[self._tip] = pose
+        return poses
+
+    def _miss(self, nodes: Array, target: Poses) -> float:
         """Return how near a way (K, n), or what settles from its end, comes to a target."""
-        due = Poses.of(*[target] * _STEPS_AT_ONCE)
-        nearest, q = off_pose(self._robot, nodes[-1], target), nodes[-1]
+        due = Poses(*(np.concatenate([part] * _STEPS_AT_ONCE) for part in target))
+        nearest, q = off_poses(self._robot, nodes[-1], target), nodes[-1]
         if nearest < _OUT_OF_REACH:
             return nearest
-        nearest = min(off_pose(self._robot, node, target) for node in nodes[::-_LOOKED_AT])
+        nearest = min(off_poses(self._robot, node, target) for node in nodes[::-_LOOKED_AT])
         for _ in range(_SETTLING):
             q = least_norm_path(self._robot, q, due, self._joints)[-1]
-            nearest = min(nearest, off_pose(self._robot, q, target))
+            nearest = min(nearest, off_poses(self._robot, q, target))
             if nearest < _OUT_OF_REACH:
                 break
         return nearest

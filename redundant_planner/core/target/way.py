@@ -5,7 +5,7 @@ To joint positions it is always free.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +17,11 @@ from redundant_planner.core.horizon.preview import PreviewAhead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy.command import SLOWEST
+from redundant_planner.core.redundancy.coupling import Coupling
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose, Poses, poses_error
+from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Filtered
@@ -57,12 +58,14 @@ class Way:
     def __init__(
         self, robot: Robot, parameters: PlannerParameters, limits: Limits,
         constants: RobotConstants, gains: Gains, before: Way | None = None,
+        coupling: Coupling | None = None,
     ) -> None:
         """Prepare for an arm; the other arguments are made of the parameters.
 
         Args:
             robot, parameters, limits, constants, gains: of the arm.
             before: the way with other parameters; a chunk goes on where it has got to.
+            coupling: of tips that hold something together.
         """
         self._robot, self._constants = robot, constants
         self._joints = path_joints(constants, gains, limits)
@@ -70,8 +73,13 @@ class Way:
         # Of the tip where the joints have a way of their own: only as far as the user limits it.
         joints_speed = np.maximum(
             (parameters.limits_linear_speed, parameters.limits_angular_speed), SLOWEST)
-        self._line = StraightWay(
-            robot, limits, self._joints, full_speed, parameters.target_lag)
+        self._coupling = coupling
+        # Of coupled tips the first one leads.
+        self._lines = tuple(
+            StraightWay(robot, limits, self._joints, full_speed, parameters.target_lag, tip,
+                        coupling)
+            for tip in range(1 if coupling else len(robot.tips)))
+        self._line = self._lines[0]
         self._stream = JointStream(limits, robot.position_max, parameters.target_lag)
         self._free = FreeWay(
             robot, limits, constants.scaling, joints_speed, parameters.feedback_gain,
@@ -84,14 +92,16 @@ class Way:
         self._given: Goal | None = None
         if before is not None:
             self._chunks.go_on_from(before._chunks)
-            self._line.go_on_from(before._line)
+            for line, known in zip(self._lines, before._lines):
+                line.go_on_from(known)
             self._stream.go_on_from(before._stream)
             self._given = before._given
 
     def reset(self) -> None:
         """Forget the target."""
         self._given = None
-        self._line.reset()
+        for line in self._lines:
+            line.reset()
         self._stream.reset()
         self._free.reset()
         self._chunks.reset()
@@ -118,17 +128,17 @@ class Way:
             return self._along(start, target, followed, delay)
         self._chunks.reset()
         line, stream, way = self._line, self._stream, self._free
+        if isinstance(target, Poses):
+            return self._to_poses(start, target, followed, delay, obstacles, news, free=free)
         if not news and not _same(target, self._given):
             news = (Sighting(target),)
         self._given = target
         if isinstance(target, Pose):
             stream.reset()
             target = line.sense(target, news, start)
-        elif isinstance(target, Poses):
-            line.reset()
-            stream.reset()
         else:
-            line.reset()
+            for other in self._lines:
+                other.reset()
             stream.sense(news, start)
             target = self._within_limits(target)
             if stream.moves:
@@ -143,8 +153,44 @@ class Way:
         if joints is not None:
             line.begin()
             return self._by(joints, start)
-        assert isinstance(target, Pose)  # a free way leads joints, and several tips, to the end
+        assert isinstance(target, Pose)  # a free way leads the joints to the end
         return Aim(*line.command(start, target, followed, delay), None)
+
+    def _to_poses(
+        self, start: Start, targets: Poses, followed: Array, delay: float,
+        obstacles: Callable[[], InflatedObstacles], news: Sequence[Sighting], *, free: bool,
+    ) -> Aim:
+        """Return what to do about poses of several tips, see `aim`; `news` are tip → pose."""
+        known, self._given = self._given, targets
+        poses = []
+        for t, (line, pose) in enumerate(zip(self._lines, targets.each)):
+            tip = self._robot.tips[t]
+            own = [Sighting(seen.target[tip], seen.age) for seen in news
+                   if isinstance(seen.target, Mapping) and tip in seen.target]
+            if not news and not (isinstance(known, Poses)
+                                 and np.array_equal(known.position[t], pose.position)
+                                 and np.array_equal(known.rotation[t], pose.rotation)):
+                own = [Sighting(pose)]
+            poses.append(line.sense(pose, own, start))
+        self._stream.reset()
+        straight = self._straight and not free or any(
+            line.follows_stream for line in self._lines)
+        joints: JointMotion | None = None
+        if straight or self._coupling is not None:
+            self._free.reset()
+        else:
+            joints = self._free.motion(
+                start, Poses.of(*poses), lambda: self._space_among(obstacles()),
+                stuck=any(line.is_stuck for line in self._lines))
+        if joints is not None:
+            for line in self._lines:
+                line.begin()
+            return self._by(joints, start)
+        twists = np.zeros(6 * len(self._robot.tips))
+        for t, (line, pose) in enumerate(zip(self._lines, poses)):
+            own_part = slice(6 * t, 6 * t + 6)
+            twists[own_part], _ = line.command(start, pose, followed[own_part], delay)
+        return Aim(twists, None, None)
 
     def _by(self, joints: JointMotion, start: Start) -> Aim:
         """Return what to do in a tick that the joints' motion is given for."""
@@ -177,7 +223,8 @@ class Way:
         if isinstance(target, Pose):
             found = self._line.progress(target, tip)
         elif isinstance(target, Poses):
-            found = self._of_tips(target, arm)
+            found = _together([line.progress(pose, tip) for line, pose, tip in zip(
+                self._lines, target.each, arm.tips.each)])
         else:
             target = nearest_turn(
                 self._within_limits(target), arm.q, self._robot.position_max)
@@ -207,16 +254,6 @@ class Way:
         """Why there is no way to the target; empty where there is one, or the arm still thinks."""
         return self._free.lacks
 
-    def _of_tips(self, targets: Poses, arm: Kinematics) -> Progress:
-        """Return how far several tips have come: the one that is furthest from its target."""
-        robot = self._robot
-        off = robot.full_twist(robot.task_rows(
-            poses_error(targets, arm.tips, robot.in_tool))).reshape(-1, 2, 3)
-        distance, angle = np.linalg.norm(off, axis=2).max(axis=0).tolist()
-        reached = max(distance, angle) < REACHED
-        return Progress(TargetState.REACHED if reached else TargetState.MOVING, distance, angle,
-                        0.0, 0.0)
-
     def _within_limits(self, q: Array) -> Array:
         """Return joint positions (n,) no further than the limits and their margin allow."""
         return np.clip(q, *self._range)
@@ -238,3 +275,13 @@ def _same(target: Goal, known: Goal | None) -> bool:
     if known is None or type(target) is not type(known):
         return False
     return all(map(np.array_equal, target, known))
+
+
+def _together(found: Sequence[Progress]) -> Progress:
+    """Return how far several tips have come: what the one that is worst off says."""
+    states = [progress.state for progress in found]
+    state = next((state for state in (
+        TargetState.OUT_OF_REACH, TargetState.BLOCKED, TargetState.MOVING) if state in states),
+        TargetState.REACHED)
+    return Progress(state, *(max(getattr(progress, name) for progress in found)
+                             for name in ('distance', 'angle', 'seconds', 'miss')))
