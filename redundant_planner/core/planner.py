@@ -81,6 +81,8 @@ _CATCHING_UP = 5.0
 _HARDLY, _LATELY, _LEAST_SHARE = 0.3, 0.3, 1e-4
 # Below this part of that share the filter is asked for less than the whole command, too.
 _FAINT = 0.01
+# Share of the acceleration limits that coupled tips use but to brake.
+_COUPLED_ACCELERATION = 0.7
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
 _RUSH = 0.1
 
@@ -199,6 +201,9 @@ class Planner:
                 f'{known(METHODS)} keeps to these')
         robot = self.robot
         weights, limits = joint_weights(robot, parameters), limits_of(robot, parameters)
+        if self._coupling is not None:
+            limits = limits._replace(
+                acceleration_max=_COUPLED_ACCELERATION * limits.acceleration_max)
         constants, gains = robot_constants(robot, parameters), gains_of(parameters)
         watch = ObstacleWatch(robot, parameters, limits, constants, gains)
         slow_down = SlowDown(robot, parameters.slow_down)
@@ -705,7 +710,8 @@ class Planner:
             twist=np.concatenate((request.twist[:6], rates)),
             feedback=np.concatenate((request.feedback[:6], rates)),
             turning=np.concatenate((request.turning[:6], coupling.relative(turning.ravel(), arm))),
-            share_of=np.repeat((0, 1), (6, len(rates))), path_axes=6)
+            share_of=np.repeat((0, 1), (6, len(rates))), path_axes=6,
+            spare=1.0 / _COUPLED_ACCELERATION)
 
     def _share_on_path(self, twist: Array, task: Task) -> float:
         """Return the share of the command that a tip which leaves its path goes along it.

@@ -20,6 +20,7 @@ _PRICE_SCALE = 100.0
 # Prices per unit, each large enough to be paid only when nothing cheaper helps; the squared
 # joint velocities they compete with are of the order of 1 (rad/s)².
 _PRICE_RESIDUAL = 1e4
+_PRICE_RESIDUAL_BESIDE = 1e6
 _PRICE_PATH = 1e4
 _PRICE_BARRIER = 1e6
 # Price of a barrier's slack squared: two that cannot both be kept share it. Giving up the spare
@@ -147,7 +148,8 @@ def _matrices(
 ) -> tuple[Array, Array, Array, Array, Array, npt.NDArray[np.int32]]:
     """Return the problem as DAQP takes it: ½ xᵀ H x + fᵀx, low ≤ (x, A x) ≤ high, sense.
 
-    Variables are q̇ and the shares s, then r where a residual twist may remain, then the barriers' slacks
+    Variables are q̇ and the shares s, then r where a residual twist may remain, and another r for
+    what is kept beside the path, then the barriers' slacks
     where they are allowed: first all that are `spare` at most, then all that are dearer. A path
     that gives way is a squared price on J q̇ + turning − s ẋ − r residual instead of a
     constraint.
@@ -156,7 +158,8 @@ def _matrices(
     m, n = jacobian.shape
     rows = len(bounds)
     shares, residual = problem.shares, n + problem.shares
-    slacks = residual + problem.may_keep_residual
+    beside = problem.path_axes < m  # what is kept beside the path has a residual of its own
+    slacks = residual + (1 + beside) * problem.may_keep_residual
     groups = min(rows, 1 if problem.shared else _OWN_SLACKS + 1)
     size = slacks + 2 * groups * problem.slack
     path = np.zeros((m, size))
@@ -165,7 +168,7 @@ def _matrices(
             path[row, i] = jacobian[row, i]
         path[row, n + problem.share_of[row]] = -twist[row]
         if problem.may_keep_residual:
-            path[row, residual] = -problem.residual[row]
+            path[row, residual + (row >= problem.path_axes)] = -problem.residual[row]
     hessian, linear = np.zeros((size, size)), np.empty(size)
     squared_speed = 0.0
     for i in range(n):
@@ -179,6 +182,8 @@ def _matrices(
     if problem.may_keep_residual:
         linear[residual] = (_PRICE_RESIDUAL_STRICT if problem.slack and not problem.path_gives_way
                          else _PRICE_RESIDUAL)
+        if beside:
+            linear[residual + 1] = _PRICE_RESIDUAL_BESIDE
     soft = 0
     if problem.path_gives_way:
         soft = problem.path_axes

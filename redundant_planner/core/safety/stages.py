@@ -93,6 +93,8 @@ class Request(NamedTuple):
         share_of: (m,) which share s each axis goes with, 0 first; all with one if None.
         path_axes: how many axes are the path's, the first ones; all if None. What coupled tips
             keep beside it never gives way.
+        spare: how many times the acceleration limits a braking tick may use. In proportional
+            braking one joint is at its limit; coupled tips need some room for the others' turning.
     """
 
     desired: Array
@@ -105,6 +107,7 @@ class Request(NamedTuple):
     previous: Array
     share_of: Indices | None = None
     path_axes: int | None = None
+    spare: float = 1.0
 
 
 class Filtered(NamedTuple):
@@ -279,6 +282,8 @@ def _braking_bounds(
     request: Request, limits: Limits, shorter: float, dt: float,
 ) -> tuple[Array, Array]:
     """Return the (lower, upper) velocities (n,) whose stopping time is no longer than asked."""
-    low, high, _ = bounds_of_velocity(request.q, request.previous, limits, shorter, dt)
+    low, high, _ = bounds_of_velocity(
+        request.q, request.previous, limits if request.spare == 1.0 else limits._replace(
+            acceleration_max=request.spare * limits.acceleration_max), shorter, dt)
     fastest = limits.acceleration_max * shorter
     return np.minimum(np.maximum(low, -fastest), high), np.maximum(np.minimum(high, fastest), low)
