@@ -1,7 +1,8 @@
 """Bodies with several tips among obstacles: `python -m benchmark.tips --help`.
 
 Each problem is a pair of target poses, one for each tip, that some free posture has. Boxes and
-balls lie around. Of the base it is one target out of the arm's reach. What counts is how many
+balls lie around. Of the base it is one target out of the arm's reach. With --coupled the tips hold one
+object, which goes along a line. What counts is how many
 targets are reached, that no link touches an obstacle or another link (by coal), and that no limit
 is exceeded.
 """
@@ -9,6 +10,7 @@ is exceeded.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from functools import cache
 import json
 from multiprocessing import Pool
@@ -21,15 +23,19 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import track
 
-from benchmark.bodies import capsules_of
+from benchmark.bodies import Bodies, capsules_of
 from benchmark.closest_approach import Motion
 from benchmark.judge import limit_violation
 from benchmark.tip_bodies import BODIES, make_body
+from redundant_planner.core.constants import gains_of, limits_of, robot_constants
+from redundant_planner.core.horizon.least_norm_path import path_joints, PathJoints
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.redundancy.coupling import Coupling
+from redundant_planner.core.robot.se3 import integrate, poses_error
+from redundant_planner.core.target.inverse_kinematics import AT_POSE, solve
 from redundant_planner.core.target.progress import TargetState
 from redundant_planner.io.robot_files import Robot
 
@@ -44,17 +50,21 @@ _CLEAR, _LIMIT_DISTANCE = 0.03, 0.1
 _OBSTACLES, _SIZES, _AWAY = 6, (0.04, 0.1), 0.5
 # How far the base has to go about [m].
 _BASE_GOES = (1.0, 2.5)
+# Coupled tips: how far the object goes [m, rad], at how many places of its line a posture has to be
+# found, and the smallest singular value of J there.
+_OBJECT_GOES, _OBJECT_TURNS, _PLACES, _REGULAR = 0.3, 0.6, 12, 0.1
 # Time until an arm that says that its target is blocked is believed [s].
 _PATIENCE = 5.0
 _HELD_UP = TargetState.BLOCKED, TargetState.OUT_OF_REACH
 
 
 class Problem(NamedTuple):
-    """Postures (n,) of start and goal, and obstacles."""
+    """Postures (n,) of start and goal, obstacles, and the twist of coupled tips' object."""
 
     start: Array
     goal: Array
     obstacles: tuple[Obstacle, ...]
+    twist: Array | None = None
 
 
 class Outcome(NamedTuple):
@@ -116,6 +126,14 @@ def problem_of(robot: Robot, seed: int, on_a_base: bool) -> Problem:
     goal = posture(start)
     ends = [Motion.through(bodies, q[None]) for q in (start, goal)]
     tips = np.vstack([robot.kinematics(q).tip_positions for q in (start, goal)])
+    return Problem(start, goal, _obstacles(random, tips, lambda obstacle: all(
+        end.to_obstacles((obstacle,), DT).distance > _CLEAR for end in ends)))
+
+
+def _obstacles(
+    random: np.random.Generator, tips: Array, is_away: Callable[[Obstacle], bool],
+) -> tuple[Obstacle, ...]:
+    """Return boxes and balls about places (k, 3) that are far enough away."""
     obstacles: list[Obstacle] = []
     while len(obstacles) < _OBSTACLES:
         center = tips[random.integers(len(tips))] + random.uniform(-_AWAY, _AWAY, 3)
@@ -123,9 +141,99 @@ def problem_of(robot: Robot, seed: int, on_a_base: bool) -> Problem:
         name = str(len(obstacles))
         obstacle = (Obstacle(name, center, np.full(3, half[0])) if len(obstacles) % 2 else
                     Obstacle.box(name, center, 2.0 * half))
-        if all(end.to_obstacles((obstacle,), DT).distance > _CLEAR for end in ends):
+        if is_away(obstacle):
             obstacles.append(obstacle)
-    return Problem(start, goal, tuple(obstacles))
+    return tuple(obstacles)
+
+
+def coupled_problem_of(robot: Robot, seed: int) -> Problem:
+    """Return a random motion of what both hands hold, along a line that postures are found for.
+
+    Obstacles are away from start and goal, and from the hands on the line; other links may have
+    to make way.
+    """
+    random, bodies = np.random.default_rng(seed), capsules_of(robot)
+    joints = _path_joints(robot)
+    low = np.maximum(robot.position_min + _LIMIT_DISTANCE, -np.pi)
+    high = np.minimum(robot.position_max - _LIMIT_DISTANCE, np.pi)
+    if robot.position_max[0] - robot.position_min[0] < 1.0:  # a lift
+        low[0], high[0] = robot.position_min[0], robot.position_max[0]
+    hands = [i for i, joint in enumerate(bodies.joints) if joint in robot.chain.tip_joints]
+    while True:
+        q = random.uniform(low, high)
+        if not _is_good(robot, bodies, q):
+            continue
+        tips = robot.kinematics(q).tips
+        coupling = Coupling.of(tips)
+        twist = np.concatenate((
+            random.uniform(-_OBJECT_GOES, _OBJECT_GOES, 3) / np.sqrt(3.0),
+            random.uniform(-_OBJECT_TURNS, _OBJECT_TURNS, 3) / np.sqrt(3.0)))
+        held, postures = coupling.object_pose(tips.first), [q]
+        for share in np.linspace(0.0, 1.0, _PLACES + 1)[1:]:
+            pose = integrate(held, twist, share, False)
+            found = solve(postures[-1], coupling.tips(coupling.first_at(pose)), robot.chain,
+                          joints)
+            if found.error > AT_POSE or not _is_good(robot, bodies, found.q):
+                break
+            postures.append(found.q)
+        else:
+            break
+    ends = [Motion.through(bodies, postures[i][None]) for i in (0, -1)]
+    of_hands = Motion.through(_part(bodies, hands), np.array(postures))
+    tip_places = np.vstack([robot.kinematics(q).tip_positions for q in postures])
+    return Problem(postures[0], postures[-1], _obstacles(
+        random, tip_places, lambda obstacle: all(
+            motion.to_obstacles((obstacle,), DT).distance > _CLEAR
+            for motion in (*ends, of_hands))), twist)
+
+
+def _part(bodies: Bodies, chosen: list[int]) -> Bodies:
+    """Return some of an arm's shapes."""
+    return Bodies(bodies.model, *(tuple(field[i] for i in chosen) for field in (
+        bodies.names, bodies.links, bodies.joints, bodies.placements, bodies.shapes)), [])
+
+
+def _is_good(robot: Robot, bodies: Bodies, q: Array) -> bool:
+    """Return whether a posture (n,) is regular, and free of itself and of the floor."""
+    arm = robot.kinematics(q)
+    lowest = min(arm.segment_start[:, 2].min(), arm.tip_positions[:, 2].min())
+    values = np.linalg.svd(arm.jacobian, compute_uv=False)
+    return bool(values[-1] > _REGULAR and lowest > _CLEAR
+                and Motion.through(bodies, q[None]).to_itself().distance > _CLEAR)
+
+
+def run_coupled(
+    robot: Robot, problem: Problem, seed: int, parameters: PlannerParameters,
+) -> Outcome:
+    """Let the planner take the object to the end of its line."""
+    planner, scene = Planner(robot, parameters), Scene.of(problem.obstacles)
+    assert problem.twist is not None
+    q, still = problem.start, np.zeros(6)
+    planner.step(q, np.zeros((len(robot.tips), 6)), scene, DT)
+    planner.couple()
+    assert planner.coupling is not None and planner.reference is not None
+    coupling = planner.coupling
+    target = integrate(coupling.object_pose(planner.reference), problem.twist, 1.0, False)
+    postures, velocities, ticks = [q], [], []
+    state, held_up, lost = TargetState.MOVING, 0.0, 0.0
+    for _ in range(round(_LONGEST / DT)):
+        begin = time.perf_counter()
+        result = planner.step(q, still, scene, DT, target=target)
+        ticks.append(time.perf_counter() - begin)
+        planner.prepare(scene)
+        q = q + DT * result.dq
+        postures.append(q)
+        velocities.append(result.dq)
+        tips = robot.kinematics(q).tips
+        off = poses_error(coupling.tips(tips.first), tips, False).reshape(-1, 2, 3)
+        lost = max(lost, float(np.linalg.norm(off, axis=2).max()))
+        assert result.progress is not None
+        state = result.progress.state
+        held_up = held_up + DT if state in _HELD_UP else 0.0
+        if state is TargetState.REACHED or held_up > _PATIENCE:
+            break
+    return judged(robot, problem, seed, state, np.array(postures), np.array(velocities),
+                  ticks)._replace(relative_mm=1e3 * lost)
 
 
 def run(robot: Robot, problem: Problem, seed: int, parameters: PlannerParameters) -> Outcome:
@@ -188,11 +296,18 @@ def summary_of(outcomes: list[Outcome]) -> dict[str, float]:
     }
 
 
-def _job(job: tuple[str, int, str]) -> Outcome:
-    body, seed, method = job
-    robot = _body(body)
-    return run(robot, problem_of(robot, seed, body == 'base'), seed,
-               PlannerParameters(method=method))
+def _path_joints(robot: Robot) -> PathJoints:
+    parameters = PlannerParameters()
+    return path_joints(robot_constants(robot, parameters), gains_of(parameters),
+                       limits_of(robot, parameters))
+
+
+def _job(job: tuple[str, int, str, bool]) -> Outcome:
+    body, seed, method, coupled = job
+    robot, parameters = _body(body), PlannerParameters(method=method)
+    if coupled:
+        return run_coupled(robot, coupled_problem_of(robot, seed), seed, parameters)
+    return run(robot, problem_of(robot, seed, body == 'base'), seed, parameters)
 
 
 def _options(args: list[str] | None) -> argparse.Namespace:
@@ -200,19 +315,23 @@ def _options(args: list[str] | None) -> argparse.Namespace:
         prog='benchmark.tips', description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--body', choices=BODIES, default=BODIES[0])
+    parser.add_argument('--coupled', action='store_true', help='both hands hold one object')
     parser.add_argument('--count', type=int, default=100)
     parser.add_argument('--seed', type=int, default=0, help='first seed')
     parser.add_argument('--method', choices=METHODS, default='dynamic_factor')
     parser.add_argument('--jobs', type=int, default=2, help='processes')
     parser.add_argument('--json', type=Path, help='file for the summary')
-    return parser.parse_args(args)
+    options = parser.parse_args(args)
+    if options.coupled and options.body == 'base':
+        parser.error('--coupled takes a body with two hands')
+    return options
 
 
 def main(args: list[str] | None = None) -> None:
     """Run and print."""
     options = _options(args)
     _body(options.body)  # its shapes are fitted once
-    jobs = [(options.body, options.seed + i, options.method) for i in range(options.count)]
+    jobs = [(options.body, options.seed + i, options.method, options.coupled) for i in range(options.count)]
     with Pool(options.jobs) as pool:
         outcomes = list(track(pool.imap(_job, jobs), options.body, len(jobs),
                               console=Console(stderr=True)))
