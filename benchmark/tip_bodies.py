@@ -1,4 +1,4 @@
-"""Bodies with several tips, and an arm on a base: from example-robot-data, or made from its Panda."""
+"""Bodies with several tips, and an arm on a base: of example-robot-data, or of its Panda."""
 
 from __future__ import annotations
 

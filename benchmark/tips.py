@@ -1,10 +1,9 @@
 """Bodies with several tips among obstacles: `python -m benchmark.tips --help`.
 
 Each problem is a pair of target poses, one for each tip, that some free posture has. Boxes and
-balls lie around. Of the base it is one target out of the arm's reach. With --coupled the tips hold one
-object, which goes along a line. What counts is how many
-targets are reached, that no link touches an obstacle or another link (by coal), and that no limit
-is exceeded.
+balls lie around. Of the base it is one target out of the arm's reach. With --coupled the tips hold
+one object, which goes along a line. What counts is how many targets are reached, that no link
+touches an obstacle or another link (by coal), and that no limit is exceeded.
 """
 
 from __future__ import annotations
@@ -50,8 +49,8 @@ _CLEAR, _LIMIT_DISTANCE = 0.03, 0.1
 _OBSTACLES, _SIZES, _AWAY = 6, (0.04, 0.1), 0.5
 # How far the base has to go about [m].
 _BASE_GOES = (1.0, 2.5)
-# Coupled tips: how far the object goes [m, rad], at how many places of its line a posture has to be
-# found, and the smallest singular value of J there.
+# Coupled tips: how far the object goes [m, rad], at how many places of its line a posture has to
+# be found, and the smallest singular value of J there.
 _OBJECT_GOES, _OBJECT_TURNS, _PLACES, _REGULAR = 0.3, 0.6, 12, 0.1
 # Time until an arm that says that its target is blocked is believed [s].
 _PATIENCE = 5.0
@@ -331,7 +330,8 @@ def main(args: list[str] | None = None) -> None:
     """Run and print."""
     options = _options(args)
     _body(options.body)  # its shapes are fitted once
-    jobs = [(options.body, options.seed + i, options.method, options.coupled) for i in range(options.count)]
+    jobs = [(options.body, options.seed + i, options.method, options.coupled)
+            for i in range(options.count)]
     with Pool(options.jobs) as pool:
         outcomes = list(track(pool.imap(_job, jobs), options.body, len(jobs),
                               console=Console(stderr=True)))

@@ -69,12 +69,51 @@ def make_planar(**options) -> Robot:
     return Robot(planar_urdf(), 'tip', **{'axes': ('vx', 'vy'), 'link_radius': 0.0, **options})
 
 
+def two_handed_urdf(lengths=(0.28, 0.25, 0.1)) -> str:
+    """A torso that rises and turns, with two arms of six joints on it that are not alike."""
+    parts = ['<robot name="two_handed"><link name="base"/>']
+
+    def add(joint: str, kind: str, parent: str, child: str, xyz: str, axis: str) -> None:
+        limit = ('lower="0" upper="0.4" velocity="0.3"' if kind == 'prismatic' else
+                 'lower="-2.6" upper="2.8" velocity="2"')
+        parts.append(
+            f'<link name="{child}"/><joint name="{joint}" type="{kind}"><parent link="{parent}"/>'
+            f'<child link="{child}"/><origin xyz="{xyz}"/><axis xyz="{axis}"/>'
+            f'<limit {limit} effort="1"/></joint>')
+
+    add('lift', 'prismatic', 'base', 'column', '0 0 0.5', '0 0 1')
+    add('waist', 'revolute', 'column', 'torso', '0 0 0.2', '0 0 1')
+    for side, way, stretch in (('left', 1.0, 1.0), ('right', -1.0, 1.2)):
+        upper, lower, wrist = (stretch * length for length in lengths)
+        parent = 'torso'
+        for i, (xyz, axis) in enumerate((
+                (f'0 {0.2 * way} 0.1', '0 1 0'), ('0.05 0 0', '0 0 1'), ('0 0 0', '1 0 0'),
+                (f'{upper} 0 0', '0 1 0'), (f'{lower} 0 0', '1 0 0'),
+                (f'0.06 0 {0.01 * way}', '0 1 0')), start=1):
+            add(f'{side}{i}', 'revolute', parent, f'{side}_link{i}', xyz, axis)
+            parent = f'{side}_link{i}'
+        parts.append(f'<link name="{side}_hand"/><joint name="{side}_wrist" type="fixed">'
+                     f'<parent link="{parent}"/><child link="{side}_hand"/>'
+                     f'<origin xyz="{wrist} 0 0" rpy="0 1.2 0.3"/></joint>')
+    return ''.join((*parts, '</robot>'))
+
+
+HANDS = 'left_hand', 'right_hand'
+
+
+def make_two_handed(**options) -> Robot:
+    return Robot(two_handed_urdf(), **{'tips': HANDS, 'link_radius': 0.03, **options})
+
+
 MAKERS = {
     'paper': make_paper_arm,
     'panda': make_panda,
     'panda_position': lambda: make_panda(axes=AXES[:3]),
     'panda_tool': lambda: make_panda(command_frame='tool'),
     'planar': make_planar,
+    'two_handed': make_two_handed,
+    'two_handed_tool': lambda: make_two_handed(
+        command_frame='tool', axes={'left_hand': AXES[:3], 'right_hand': AXES}),
 }
 
 

@@ -279,12 +279,12 @@ def _curves(
     if robot is not None:
         twists = commanded.at(times)
         arms = robot.kinematics_along(q)
-        tips = arms.tip_position
+        tips = arms.tip_positions
         task = np.array([robot.task_rows(twist) for twist in twists])
         size = (task * task).sum(axis=1)
         followed = ((arms.jacobian @ dq[:, :, None])[:, :, 0] * task).sum(axis=1)
         commanded_to_move = size > _SLOW ** 2 * size.max(initial=0.0)
         scale[commanded_to_move] = followed[commanded_to_move] / size[commanded_to_move]
-        error = path_errors(robot, times, twists, tips, arms.tip_rotation)
+        error = path_errors(robot, times, twists, tips, arms.tip_rotations)
     told = commands.at(times) if commands is not None else None
     return Curves(times, q, dq, ddq, told, rows[:, -1], scale, tips, error, tuple(scenes))

@@ -126,7 +126,8 @@ def robot_constants(robot: Robot, parameters: PlannerParameters) -> RobotConstan
         1.0 / np.sqrt(joint_weights(robot, parameters)), np.array(robot.lever_arm_bounds),
         np.array(robot.supports), radii + self_margin / 2.0, np.array(pairs), supports,
         np.abs(supports) * robot.lever_arm_bounds[pairs].max(axis=1),
-        np.array(robot.chain.parents), np.array(robot.rows), robot.in_tool, preferred_posture(robot, parameters), _cone(parameters))
+        np.array(robot.chain.parents), np.array(robot.rows), robot.in_tool,
+        preferred_posture(robot, parameters), _cone(parameters))
 
 
 def preferred_posture(robot: Robot, parameters: PlannerParameters) -> Array:

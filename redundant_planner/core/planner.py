@@ -30,12 +30,7 @@ from redundant_planner.core.obstacles.watch import ObstacleWatch
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.redundancy.command import limited_twists
 from redundant_planner.core.redundancy.coupling import Coupling
-from redundant_planner.core.redundancy.reference import (
-    followed_poses,
-    reference_of,
-    Start,
-    Task,
-)
+from redundant_planner.core.redundancy.reference import followed_poses, reference_of, Start, Task
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses, poses_error, turned
@@ -402,8 +397,8 @@ class Planner:
             target: where to go, as fast as the limits allow: a pose of the tip, or joint positions
                 (n,) [rad, m]; or a chunk of either, to follow in its time: the same object in each
                 tick while it holds. Of an arm with several tips, tip → its pose, or joint
-                positions; tips that are not named stay where they are. None to follow the twist. With a target, `twist` and `ahead`
-                do not count.
+                positions; tips that are not named stay where they are. None to follow the twist.
+                With a target, `twist` and `ahead` do not count.
             news: all targets that came since the last step, `target` the last of them, with the
                 ages of their stamps: of a stream whose messages come late or several at once.
                 Where it is empty, one came if `target` is another than in the last step.
@@ -556,10 +551,10 @@ class Planner:
         leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
         if result.stage is Stage.SLIDING:  # as commanded, which no free way back overrules
             self._back.reset()
-        if not by_target and (leaving or self._back.is_away):
-            if self._back.note(last.reference or arm.tips, arm.tips, followed, dt, leaving=leaving,
-                               lost=bool(self._way.lacks)):
-                reached = None
+        if not by_target and (leaving or self._back.is_away) and self._back.note(
+                last.reference or arm.tips, arm.tips, followed, dt, leaving=leaving,
+                lost=bool(self._way.lacks)):
+            reached = None
         self._look_ahead.note(result.scale, dt)
         self._observer.commanded(self._smoothing.take(result.dq), dt)
         self._last = _LastTick(

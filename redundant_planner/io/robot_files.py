@@ -120,9 +120,10 @@ class Robot(model.Robot):
         def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
             return cls(
                 urdf, tip_frame, tips=tips, base_frame=base_frame,
-                locked_positions=locked_positions, axes=axes, command_frame=command_frame, position_limits=position_limits,
-                velocity_max=velocity_max, acceleration_max=acceleration_max, jerk_max=jerk_max,
-                capsules=shapes, link_radius=link_radius)
+                locked_positions=locked_positions, axes=axes, command_frame=command_frame,
+                position_limits=position_limits, velocity_max=velocity_max,
+                acceleration_max=acceleration_max, jerk_max=jerk_max, capsules=shapes,
+                link_radius=link_radius)
 
         if capsules is not None or link_radius is not None:
             return robot_with(capsules)

@@ -8,9 +8,9 @@ import numpy.typing as npt
 from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
 from redundant_planner.core.horizon.multi_start import MultiStart
 from redundant_planner.core.horizon.path_qp import PathQP, Plan, taken_along
-from redundant_planner.core.horizon.poses_ahead import Poses
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Poses
 
 Array = npt.NDArray[np.float64]
 

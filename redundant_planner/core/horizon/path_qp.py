@@ -31,10 +31,10 @@ from redundant_planner.core.horizon.path_linearised import (
     Measures,
     stepped,
 )
-from redundant_planner.core.horizon.poses_ahead import Poses
 from redundant_planner.core.kernels import compiled, entry, Matrix, Vector
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Poses
 
 Array = npt.NDArray[np.float64]
 

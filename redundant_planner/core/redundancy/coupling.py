@@ -2,8 +2,8 @@
 
 The first tip leads: its twist is the object's, taken at another point. The others keep their pose
 relative to it, T_t = T_0 G_t. In the safety filter that is an equality of every stage,
-(J_t − X_t J_0) q̇ = u k e_t: X_t takes a twist at the first tip to one at tip t, e_t is what tip t is
-off by, and u ≤ 1 is as much as is possible of the way back.
+(J_t − X_t J_0) q̇ = u k e_t: X_t takes a twist at the first tip to one at tip t, e_t is what tip t
+is off by, and u ≤ 1 is as much as is possible of the way back.
 """
 
 from __future__ import annotations

@@ -224,7 +224,8 @@ def colliding_pairs(
     pairs = np.column_stack(np.triu_indices(len(capsules), 1))
     if not len(pairs):
         return pairs
-    between = joints_between(*capsule_joint[pairs].T, parents)
+    one, other = capsule_joint[pairs].T
+    between = joints_between(one, other, parents)
     radii = np.array([c.radius for c in capsules])
     count = _SAMPLED_POSTURES if (between > 1).any() else 0
     sampled = np.array([

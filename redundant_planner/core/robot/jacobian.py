@@ -51,11 +51,14 @@ def joint_shares(
 
 
 def jacobian_derivative(jacobian: Array) -> Array:
-    """Return the tensor D[k] = ∂J/∂q_k, (n, 6, n), in base axes.
+    """Return the tensor D[k] = ∂J/∂q_k, (n, 6 t, n), in base axes.
 
     Args:
-        jacobian: (6, n) tip Jacobian in base axes (LOCAL_WORLD_ALIGNED).
+        jacobian: (6 t, n) of t tips in base axes (LOCAL_WORLD_ALIGNED).
     """
+    if len(jacobian) > 6:
+        return np.concatenate([jacobian_derivative(part) for part in np.split(
+            jacobian, len(jacobian) // 6)], axis=1)
     v, w = jacobian[:3].T, jacobian[3:].T
     n = len(v)
     derivative = np.zeros((n, 6, n))

@@ -344,9 +344,9 @@ def _read_only(array: Array) -> Array:
 
 
 def _checked_tips(tip_frame: str, tips: Sequence[str]) -> tuple[str, ...]:
-    if tip_frame and tips or not (tip_frame or tips) or len(set(tips)) != len(tips):
-        raise RobotError(f"tip_frame is '{tip_frame}' and tips are {list(tips)}; one of them names "
-                         'the end effector, or several different ones')
+    if (tip_frame and tips) or not (tip_frame or tips) or len(set(tips)) != len(tips):
+        raise RobotError(f"tip_frame is '{tip_frame}' and tips are {list(tips)}; one of them "
+                         'names the end effector, or several different ones')
     return tuple(tips) or (tip_frame,)
 
 

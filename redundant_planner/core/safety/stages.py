@@ -188,6 +188,7 @@ def safe_velocity(
     share_of = np.zeros(len(residual), np.intp) if request.share_of is None else request.share_of
     shares = 1 if request.share_of is None else int(share_of.max()) + 1
     coupled = request.path_axes is not None
+    path_shares = slice(1 if coupled else None)
     path_axes = len(residual) if request.path_axes is None else request.path_axes
     cut_short: list[Stage] = []
     for rule in _RULES:
@@ -208,21 +209,21 @@ def safe_velocity(
             request.turning, residual, low if brakes else lower, high if brakes else upper,
             gradient, bounds,
             barrier_rate(gain, until, dt) * spare[:rows] if rule.slack else _NO_SPARE,
-            weights, price, share_of, shares, rule.residual and not leaves, rule.slack, rule.shared,
-            rule.path and may_yield, path_axes, leaves and rule.path)
+            weights, price, share_of, shares, rule.residual and not leaves, rule.slack,
+            rule.shared, rule.path and may_yield, path_axes, leaves and rule.path)
         found, out_of_iterations = solve(problem)
         if out_of_iterations and rule.stage not in cut_short:
             cut_short.append(rule.stage)
         if may_slide and rows and rule.stage is Stage.SCALED and not (
                 found is not None and (
-                    found.scales[0 if coupled else slice(None)].min() >= 1.0 or not (slides or len(found.pairs)))):
+                    found.scales[path_shares].min() >= 1.0
+                    or not (slides or len(found.pairs)))):
             slid = _slid(problem, request, limits, longer, dt)
             if slid is not None:
                 return slid
         if found is not None:
             return Filtered(
-                found.dq, 0.0 if rule.slack else float(
-                    found.scales[0] if coupled else found.scales.min()),
+                found.dq, 0.0 if rule.slack else float(found.scales[path_shares].min()),
                 share * found.residual if rule.residual else 0.0, rule.stage, found.joints,
                 found.pairs, tuple(cut_short),
                 None if shares == 1 or coupled or rule.slack else found.scales)

@@ -7,6 +7,7 @@ from collections.abc import Generator
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
@@ -40,7 +41,8 @@ class CurveSearch:
     """
 
     def __init__(
-        self, space: FreeSpace, start: Array, target: Goal, scaling: Array, *, gives_way: bool,
+        self, space: FreeSpace, start: Array, target: Goal | Poses, scaling: Array, *,
+        gives_way: bool,
     ) -> None:
         """Begin.
 

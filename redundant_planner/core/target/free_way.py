@@ -19,7 +19,7 @@ import numpy.typing as npt
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import stacked
+from redundant_planner.core.robot.se3 import Poses, stacked
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Request
 from redundant_planner.core.target.curve_search import CurveSearch, OVERLAP
@@ -130,7 +130,7 @@ class FreeWay:
     def reset(self) -> None:
         """Forget the target and the way."""
         self.stretch, self.out_of_reach = Stretch.LINE, False
-        self._target: Goal | None = None
+        self._target: Goal | Poses | None = None
         self._way: JointWay | None = None
         self._finder: CurveSearch | None = None
         self._points = np.empty((0, self._robot.n))  # control points of the way
@@ -150,7 +150,7 @@ class FreeWay:
         return self._way.seconds if self._way is not None else 0.0
 
     def motion(
-        self, start: Start, target: Goal, space: Callable[[], FreeSpace], *, stuck: bool,
+        self, start: Start, target: Goal | Poses, space: Callable[[], FreeSpace], *, stuck: bool,
     ) -> JointMotion | None:
         """Return what the joints shall do; None where the tip shall go on in a line.
 
@@ -203,7 +203,7 @@ class FreeWay:
         """Whether tips shall be somewhere, which lines may lead to."""
         return isinstance(self._target, tuple)
 
-    def _is_another(self, target: Goal) -> bool:
+    def _is_another(self, target: Goal | Poses) -> bool:
         known = self._target
         if isinstance(target, tuple) and isinstance(known, tuple):
             return float(np.abs(

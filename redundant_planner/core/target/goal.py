@@ -14,10 +14,10 @@ from redundant_planner.core.target.chunk import Chunk
 
 Array = npt.NDArray[np.float64]
 
-# A pose in the base frame, or of each of several tips, or joint positions (n,) [rad, m].
-Goal = Pose | Poses | Array
-# A goal, or the way to one with its times.
-Target = Goal | Chunk
+# A pose in the base frame, or joint positions (n,) [rad, m].
+Goal = Pose | Array
+# A goal, or one of several tips, or the way to a goal with its times.
+Target = Goal | Poses | Chunk
 # A chunk may go beyond the limits by this, as measured positions do; it is followed up to them
 # [rad, m].
 _BEYOND = 1e-3
@@ -34,13 +34,13 @@ def checked_target(target: Target, robot: Robot) -> Target:
         if not target.of_poses:
             _check_range(target, robot)
         return target
+    if isinstance(target, Poses):
+        raise StateError('several poses are given; say of which tip each is')
     return checked_goal(target, robot)
 
 
 def checked_goal(target: Goal, robot: Robot) -> Goal:
     """Return a pose or joint positions as arrays of numbers; errors as `checked_target`."""
-    if isinstance(target, Poses):
-        return target
     if isinstance(target, tuple):
         if len(robot.tips) > 1:
             raise StateError(f'the target is one pose; say of which tip: {known(robot.tips)}')

@@ -1,4 +1,4 @@
-"""Postures with the tips at their poses: from random ones, and on along the null space from each."""
+"""Postures with the tips at their poses: from random ones, and on along the null space."""
 
 from __future__ import annotations
 

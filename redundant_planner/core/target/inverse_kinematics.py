@@ -56,7 +56,7 @@ class Solution(NamedTuple):
 def _solve(
     arm: Kinematics, places: JointPlaces, poses: Poses, chain: Chain, joints: PathJoints,
 ) -> tuple[float, int]:
-    """Lead an arm's posture to its tips' poses; return the error at its worst axis, and the steps."""
+    """Lead an arm's posture to its tips' poses; return the worst axis' error and the steps."""
     squares = np.empty(_MOST_STEPS + 1)
     for step in range(_MOST_STEPS + 1):
         fill_tip(chain, places, arm)

@@ -12,7 +12,7 @@ from collections.abc import Generator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.robot.se3 import stacked
+from redundant_planner.core.robot.se3 import Poses, stacked
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.goal import Goal
@@ -76,7 +76,7 @@ class PathSearch:
     """
 
     def __init__(
-        self, space: FreeSpace, start: Array, target: Goal, *, gives_way: bool,
+        self, space: FreeSpace, start: Array, target: Goal | Poses, *, gives_way: bool,
     ) -> None:
         """Prepare.
 

@@ -134,7 +134,8 @@ def new_scratch(q: Vector, chain: Chain, around: Around) -> Scratch:
     shape = around.obstacles.smallest.shape
     return Scratch(
         new_kinematics_compiled(
-            q, len(chain.rows), len(chain.tip_joints), len(chain.capsule_joint)), new_places(len(q)),
+            q, len(chain.rows), len(chain.tip_joints), len(chain.capsule_joint)),
+        new_places(len(q)),
         Pairs(np.empty(shape), np.empty(shape), np.empty(shape)),
         np.empty((len(around.links), 2, 3)), np.full(len(around.forgiven), _AMPLE))
 

@@ -155,7 +155,8 @@ class StraightWay:
             assert isinstance(target, Pose)
             self._given = numbers_of(target, self._given)
             numbers.append((self._given, age))
-        self._target.sense(numbers, start.dt, lambda n: self._is_near(pose_of(n), start.reference_of(self._tip)))
+        reference = start.reference_of(self._tip)
+        self._target.sense(numbers, start.dt, lambda n: self._is_near(pose_of(n), reference))
         estimate = self._target.estimate
         return given if estimate is None else pose_of(estimate.value)
 
@@ -171,13 +172,14 @@ class StraightWay:
             delay: of the commands behind what is planned [s].
         """
         estimate, rates = self._target.estimate, np.zeros(6)
+        reference = start.reference_of(self._tip)
         if estimate is not None:
             target = pose_of(estimate.after(delay).value)
             value, velocity = estimate.after(delay + 0.5 * start.dt)[:2]
             rates = twist_of(value, velocity)
         # Base axes: a line is straight there.
-        away = self._part(se3.pose_error(target, start.reference_of(self._tip), False), start.reference_of(self._tip))
-        velocity = self._part(rates, start.reference_of(self._tip))
+        away = self._part(se3.pose_error(target, reference, False), reference)
+        velocity = self._part(rates, reference)
         self.left = self._length(away)
         self._patience.note(self.left, start.dt)
         if self._target.moves and self.left < _CLOSE_BEHIND:
@@ -186,7 +188,7 @@ class StraightWay:
             self._looked, self._seconds = None, 0.0
             return np.zeros(6), None
         self._age += start.dt
-        now = self._in_base_axes(followed, start.reference_of(self._tip))
+        now = self._in_base_axes(followed, reference)
         looked = self._look(start, target, away, now)
         profile = looked.profile
         f = profile.speed_at(min(self.left, profile.left[0]), start.dt)
@@ -197,7 +199,7 @@ class StraightWay:
         twist = self._limited(wanted, now, profile.speeding_at(self.left), start.dt)
         # In command axes that turn with the tip: those of the middle of the tick.
         middle = se3.displaced(
-            start.reference_of(self._tip), np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
+            reference, np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
         twist = self._in_command_axes(twist, middle)
         if self._target.moves:
             return twist, None

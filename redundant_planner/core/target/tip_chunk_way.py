@@ -12,14 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
-from redundant_planner.core.horizon.poses_ahead import Poses
 from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.obstacles.scene import rotations
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.handover import handover, rested

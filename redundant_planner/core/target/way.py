@@ -89,7 +89,7 @@ class Way:
         self._straight = parameters.target_path == 'straight'
         self._range = limits.positions[1], limits.positions[0]
         self._space: tuple[InflatedObstacles, FreeSpace] | None = None
-        self._given: Goal | None = None
+        self._given: Goal | Poses | None = None
         if before is not None:
             self._chunks.go_on_from(before._chunks)
             for line, known in zip(self._lines, before._lines):
@@ -173,7 +173,7 @@ class Way:
                 own = [Sighting(pose)]
             poses.append(line.sense(pose, own, start))
         self._stream.reset()
-        straight = self._straight and not free or any(
+        straight = (self._straight and not free) or any(
             line.follows_stream for line in self._lines)
         joints: JointMotion | None = None
         if straight or self._coupling is not None:
@@ -268,7 +268,7 @@ class Way:
         return self._space[1]
 
 
-def _same(target: Goal, known: Goal | None) -> bool:
+def _same(target: Goal, known: Goal | Poses | None) -> bool:
     """Return whether a target is the one that is known already."""
     if target is known:
         return True

@@ -10,7 +10,6 @@ from redundant_planner.core.horizon.poses_ahead import middles, node_times, pose
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.cone import Cone
-from redundant_planner.core.robot.se3 import Pose
 
 NO_CONE = Cone(np.array((0.0, 0.0, 1.0)), np.array((0.0, 0.0, 1.0)), np.pi)
 
@@ -30,7 +29,7 @@ def problem(robot, q, twist, obstacles=(), nodes=6, seconds=1.0, weights=None):
         scaling, np.array(robot.position_min), np.array(robot.position_max),
         np.full(robot.n, np.nan), 0.0, NO_CONE))
     arm = robot.kinematics(q)
-    poses = poses_ahead(Pose(arm.tip_position, arm.tip_rotation),
+    poses = poses_ahead(arm.tips,
                         smooth(twist, seconds)(middles(qp.times)), qp.times,
                         robot.in_tool)
     return qp, poses, inflated_obstacles(

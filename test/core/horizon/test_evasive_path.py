@@ -35,7 +35,7 @@ class Problem:
         along = robot.task_rows(twist)
         speed = np.linalg.norm(along)
         self.due = Due(
-            poses_ahead(Pose(arm.tip_position, arm.tip_rotation), np.tile(twist, (NODES, 1)),
+            poses_ahead(arm.tips, np.tile(twist, (NODES, 1)),
                         self.times, robot.in_tool),
             along / max(speed, 1e-12), speed * self.times[1:])
 

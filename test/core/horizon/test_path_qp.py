@@ -8,7 +8,6 @@ import numpy as np
 from path_problem import problem
 import pytest
 
-from redundant_planner.core.horizon.poses_ahead import Poses
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.parameters import AXES
 from redundant_planner.core.robot import se3
@@ -53,8 +52,8 @@ def test_the_linearisation_is_exact_to_first_order(make):
         def off(w, poses=poses, moved=moved):
             arms = moved(w)
             return np.array([se3.pose_error(Pose(*due), Pose(*tip), robot.in_tool)[robot.rows]
-                             for *due, tip in zip(*poses, zip(arms.tip_position,
-                                                              arms.tip_rotation))])
+                             for *due, tip in zip(*poses, zip(arms.tip_positions,
+                                                              arms.tip_rotations))])
 
         errors = central_difference(off, zero)
         np.testing.assert_allclose(errors, 0.0, atol=1e-6)
@@ -75,12 +74,12 @@ def test_a_plan_beyond_a_joint_limit_is_not_admissible(robot):
     limited = np.isfinite(robot.position_max)
     low, high = (np.where(limited, x, 0.0) for x in (robot.position_min, robot.position_max))
     inside = 0.5 * (low + high)
-    qp, _, maps = problem(robot, inside, np.zeros(6), nodes=1)
+    qp, _, maps = problem(robot, inside, np.zeros(6 * len(robot.tips)), nodes=1)
     for joint in limited.nonzero()[0]:
         for reach, admissible in ((0.49, True), (0.51, False)):
             q = inside.copy()
             q[joint] += reach * (high - low)[joint]
             arm = robot.kinematics(q)
-            there = Poses(arm.tip_position[None], arm.tip_rotation[None])
+            there = arm.tips
             plan, _ = qp.look(inside, q[None], there, maps)
             assert plan.measures.error < 1e-9 and plan.admissible == admissible

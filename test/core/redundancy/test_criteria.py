@@ -12,6 +12,7 @@ from redundant_planner.core.obstacles.clearance_gradients import clearance_gradi
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.redundancy import criteria, null_space as ns
+from redundant_planner.core.robot.capsules import supports_of
 from redundant_planner.core.robot.jacobian import derivative_between
 from redundant_planner.core.robot.kinematics import Links
 
@@ -37,7 +38,10 @@ def clearance_of(robot, q, obstacles, points, smoothing=0.0, influence_distance=
     else:
         radii = np.zeros(robot.n + 1)
         points = robot.joint_points(q)
-        links = Links(points, points, arm.joint_screws, np.tril(np.ones((robot.n + 1, robot.n))))
+        joints = np.append(np.arange(1, robot.n + 1), robot.chain.tip_joints[0])
+        parents = robot.chain.parents
+        links = Links(
+            points, points, arm.joint_screws, supports_of(joints, parents), parents)
     maps = inflated_obstacles(scene, radii)
     pairs = link_clearance(maps, links.start, links.end)
     every = np.isfinite(pairs.normalized_distance).nonzero()
@@ -50,7 +54,7 @@ def clearance_of(robot, q, obstacles, points, smoothing=0.0, influence_distance=
 def change(robot, arm, left, dq):
     """uᵀ (∂J/∂q_k) q̇."""
     return derivative_between(
-        left, arm.tip_jacobian, dq, arm.tip_rotation, robot.in_tool, robot.rows)
+        left, arm.tip_jacobian, dq, arm.tip_rotations, robot.in_tool, robot.rows)
 
 
 @pytest.mark.parametrize('points', ['links', 'joints'])

@@ -17,7 +17,7 @@ from redundant_planner.core.robot.jacobian import (
 
 def product(robot, q, dq, function=derivative_times):
     arm = robot.kinematics(q)
-    return function(arm.tip_jacobian, dq, arm.tip_rotation, robot.in_tool, robot.rows)
+    return function(arm.tip_jacobian, dq, arm.tip_rotations, robot.in_tool, robot.rows)
 
 
 def test_tensor_matches_finite_differences(robot):

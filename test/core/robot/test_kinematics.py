@@ -57,15 +57,18 @@ def test_paper_arm_has_the_reconstructed_kinematics(paper_arm):
 def test_jacobians_match_finite_differences(robot):
     for q in random_postures(robot, 20):
         arm = robot.kinematics(q)
-        linear = central_difference(lambda p: robot.kinematics(p).tip_position, q)
-        turning = central_difference(
-            lambda p, at=arm: pin.log3(robot.kinematics(p).tip_rotation @ at.tip_rotation.T), q)
-        expected = np.vstack((linear, turning))
-        np.testing.assert_allclose(arm.tip_jacobian, expected, atol=1e-7)
-        if robot.command_frame == 'tool':
-            expected = np.vstack((arm.tip_rotation.T @ linear, arm.tip_rotation.T @ turning))
-        rows = robot.task_rows(np.arange(6)).astype(int)
-        np.testing.assert_allclose(arm.jacobian, expected[rows], atol=1e-7)
+        expected, in_command_axes = [], []
+        for t, tip in enumerate(arm.tips.each):
+            linear = central_difference(
+                lambda p, t=t: robot.kinematics(p).tip_positions[t], q)
+            turning = central_difference(lambda p, t=t, at=tip: pin.log3(
+                robot.kinematics(p).tip_rotations[t] @ at.rotation.T), q)
+            expected += [linear, turning]
+            axes = tip.rotation.T if robot.command_frame == 'tool' else np.eye(3)
+            in_command_axes += [axes @ linear, axes @ turning]
+        np.testing.assert_allclose(arm.tip_jacobian, np.vstack(expected), atol=1e-7)
+        rows = robot.task_rows(np.arange(6 * len(robot.tips))).astype(int)
+        np.testing.assert_allclose(arm.jacobian, np.vstack(in_command_axes)[rows], atol=1e-7)
 
 
 def test_joint_screws_move_every_capsule_end(robot):
@@ -95,19 +98,22 @@ def test_kinematics_of_many_postures_are_those_of_each(robot):
     together = robot.kinematics_along(postures)
     for i, q in enumerate(postures):
         for field, value in robot.kinematics(q)._asdict().items():
-            np.testing.assert_allclose(getattr(together, field)[i], value, atol=1e-12)
+            found = getattr(together, field)
+            np.testing.assert_allclose(
+                found.reshape(len(postures), *value.shape)[i], value, atol=1e-12)
 
 
 def test_joints_are_where_pinocchio_has_them(robot):
     data = robot.model.createData()
-    tip = robot.model.getFrameId(robot.tip_frame)
+    tips = [robot.model.getFrameId(tip) for tip in robot.tips]
     for q in random_postures(robot, 20):
         arm = robot.kinematics(q)
         pin.computeJointJacobians(robot.model, data, q)
-        placed = pin.updateFramePlacement(robot.model, data, tip)
         np.testing.assert_allclose(arm.joint_screws, data.J, atol=1e-13)
-        np.testing.assert_allclose(arm.tip_position, placed.translation, atol=1e-13)
-        np.testing.assert_allclose(arm.tip_rotation, placed.rotation, atol=1e-13)
+        for found, tip in zip(arm.tips.each, tips):
+            placed = pin.updateFramePlacement(robot.model, data, tip)
+            np.testing.assert_allclose(found.position, placed.translation, atol=1e-13)
+            np.testing.assert_allclose(found.rotation, placed.rotation, atol=1e-13)
 
 
 def test_slanted_axes_and_joints_that_slide_are_where_pinocchio_has_them():

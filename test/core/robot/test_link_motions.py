@@ -28,7 +28,7 @@ def test_points_are_accelerated_as_differences_say(robot):
         dq = random.uniform(-1.0, 1.0, robot.n)
         arm = robot.kinematics(q)
         links = Links(arm.segment_start, arm.segment_end, arm.joint_screws,
-                      robot.supports.copy())
+                      robot.supports.copy(), robot.chain.parents)
         before, after = (robot.kinematics(q + way * STEP * dq).segment_start for way in (-1, 1))
         expected = (after - 2.0 * arm.segment_start + before) / STEP ** 2
         np.testing.assert_allclose(

@@ -17,7 +17,7 @@ def test_links_after_a_motion_are_those_of_the_kinematics_there(robot):
             here, there = robot.kinematics(q), robot.kinematics(q + motion)
             found = links_after(Links(
                 here.segment_start, here.segment_end, here.joint_screws,
-                robot.supports.copy()), motion)
+                robot.supports.copy(), robot.chain.parents), motion)
             np.testing.assert_allclose(found.start, there.segment_start, atol=1e-12)
             np.testing.assert_allclose(found.end, there.segment_end, atol=1e-12)
             np.testing.assert_allclose(found.joint_screws, there.joint_screws, atol=1e-12)

@@ -18,8 +18,9 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.free_space import FreeSpace
-from redundant_planner.core.target.goal_postures import goal_postures, off_pose, posture_at
+from redundant_planner.core.target.goal_postures import goal_postures, off_poses, posture_at
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.path_search import PathSearch
 
@@ -184,7 +185,7 @@ def test_out_of_reach_is_known_after_a_while():
 def test_goal_postures_are_found_near_singularities_too(goal):
     space, pose = space_among([]), tip(PANDA, np.array(goal))
     random, (low, high) = np.random.default_rng(5), space.joint_ranges(np.array(goal))
-    postures = [posture_at(space, random.uniform(low, high), pose) for _ in range(100)]
+    postures = [posture_at(space, random.uniform(low, high), Poses.of(pose)) for _ in range(100)]
     found = [q for q in postures if q is not None]
     assert len(found) >= 15
     for q in found:
@@ -201,10 +202,10 @@ def test_postures_along_the_null_space_are_right_at_the_goal(goal):
     space, pose = space_among([]), tip(PANDA, q)
     found = []
     for places in itertools.islice(
-            goal_postures(space, q, pose, np.random.default_rng(3)), 200):
+            goal_postures(space, q, Poses.of(pose), np.random.default_rng(3)), 200):
         found += places or []
     assert len(found) > 30 and space.spent > 0
     for place in found:
-        assert off_pose(PANDA, place.q, pose) < 2e-5
+        assert off_poses(PANDA, place.q, Poses.of(pose)) < 2e-5
     # They are others than the posture that they begin from.
     assert max(np.abs(place.q - q).max() for place in found) > 0.5

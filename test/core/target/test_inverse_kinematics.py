@@ -11,6 +11,7 @@ from redundant_planner.core.constants import gains_of, limits_of, robot_constant
 from redundant_planner.core.horizon.least_norm_path import path_joints
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.inverse_kinematics import AT_POSE, self_motion, solve
 
 PANDA = make_panda()
@@ -32,7 +33,7 @@ def test_a_solution_is_within_the_limits_and_as_far_off_as_it_says(seed):
     random = np.random.default_rng(seed)
     guess, pose = anywhere(random), tip(PANDA, anywhere(random))
     before = guess.copy()
-    found = solve(guess, pose, PANDA.chain, JOINTS)
+    found = solve(guess, Poses.of(pose), PANDA.chain, JOINTS)
     np.testing.assert_array_equal(guess, before)
     assert (found.q >= JOINTS.position_min).all() and (found.q <= JOINTS.position_max).all()
     assert abs(off(found.q, pose) - found.error) < 1e-9
@@ -41,7 +42,7 @@ def test_a_solution_is_within_the_limits_and_as_far_off_as_it_says(seed):
 
 def test_one_guess_in_four_leads_to_a_pose_in_reach():
     random = np.random.default_rng(0)
-    found = [solve(anywhere(random), tip(PANDA, anywhere(random)), PANDA.chain, JOINTS)
+    found = [solve(anywhere(random), PANDA.kinematics(anywhere(random)).tips, PANDA.chain, JOINTS)
              for _ in range(1000)]
     assert sum(solution.error < AT_POSE for solution in found) > 250
 
@@ -49,7 +50,7 @@ def test_one_guess_in_four_leads_to_a_pose_in_reach():
 def test_a_pose_that_is_nowhere_is_given_up_soon():
     far = se3.displaced(tip(PANDA, PANDA_READY), np.array([1.5, 0.0, 0.0, 0.0, 0.0, 0.0]), False)
     random = np.random.default_rng(0)
-    found = [solve(anywhere(random), far, PANDA.chain, JOINTS) for _ in range(50)]
+    found = [solve(anywhere(random), Poses.of(far), PANDA.chain, JOINTS) for _ in range(50)]
     assert min(solution.error for solution in found) > 0.1
     assert np.mean([solution.steps for solution in found]) < 15
 
@@ -59,7 +60,7 @@ def test_a_self_motion_leaves_the_tip_where_it_is(seed):
     random = np.random.default_rng(seed)
     q, size = anywhere(random), 0.15
     pose = tip(PANDA, q)
-    postures = self_motion(q, pose, random.normal(size=7), size, 10, PANDA.chain, JOINTS)
+    postures = self_motion(q, Poses.of(pose), random.normal(size=7), size, 10, PANDA.chain, JOINTS)
     steps = np.linalg.norm(np.diff(np.vstack((q, postures)), axis=0), axis=1)
     # At a joint's limit a step is shorter.
     assert len(postures) == 0 or steps.max() < 4.0 * size
@@ -70,7 +71,7 @@ def test_a_self_motion_leaves_the_tip_where_it_is(seed):
 
 def test_a_self_motion_goes_on_in_one_direction():
     pose, aside = tip(PANDA, PANDA_READY), np.ones(7)
-    ahead, back = (self_motion(PANDA_READY, pose, way, 0.1, 5, PANDA.chain, JOINTS)
+    ahead, back = (self_motion(PANDA_READY, Poses.of(pose), way, 0.1, 5, PANDA.chain, JOINTS)
                    for way in (aside, -aside))
     assert len(ahead) == len(back) == 5
     away = np.linalg.norm(np.vstack((ahead, back)) - PANDA_READY, axis=1)
