@@ -159,7 +159,7 @@ def sections(
             all_seen),
         'decomposition': lambda: null_space.decompose(arm.jacobian),
         'derivative of J': lambda: derivative_between(
-            twist, arm.tip_jacobian, start, arm.tip_rotation, robot.in_tool, robot.rows),
+            twist, arm.tip_jacobian, start, arm.tip_rotations, robot.in_tool, robot.rows),
         # From rest the arm cannot follow at once, so here there is one to solve.
         'filter with a QP': lambda: safe_velocity(
             Request(np.linalg.pinv(arm.jacobian) @ twist, at_rest, arm.jacobian, twist,

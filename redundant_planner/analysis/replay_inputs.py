@@ -162,8 +162,8 @@ def _tick(item: Event, robot: Robot) -> RecordedTick:
     Raises:
         StateError: it is none of this robot.
     """
-    tick = RecordedTick.of(item.message.data, robot.n)
-    if not (np.abs(np.concatenate((tick.q, tick.twist))) <= LARGEST).all():
+    tick = RecordedTick.of(item.message.data, robot.n, robot.tips)
+    if not (np.abs(np.concatenate((tick.q, tick.twist.ravel()))) <= LARGEST).all():
         raise StateError(f'a recorded tick has a posture or twist beyond {LARGEST:g}')
     return tick
 

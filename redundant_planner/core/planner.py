@@ -50,7 +50,7 @@ from redundant_planner.core.safety.way_out import LastWayOut
 from redundant_planner.core.step_result import Nearest, StepResult, TipResult
 from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.free_way import JointMotion
-from redundant_planner.core.target.goal import checked_target, poses_of_tips, Target
+from redundant_planner.core.target.goal import checked_target, poses_of_tips, Target, TipTargets
 from redundant_planner.core.target.moving_target import checked_news, Sighting
 from redundant_planner.core.target.way import Way
 from redundant_planner.core.tick import Setup, Wish, wish, World
@@ -174,7 +174,7 @@ class Planner:
         self._controlled = robot.full_twist(np.ones(robot.m))
         # Each tip has a share of the commanded speed of its own.
         self._share_of_tips = robot.rows // 6 if len(robot.tips) > 1 else None
-        self._given_tips: tuple[Mapping[str, Pose], Poses] | None = None
+        self._given_tips: tuple[TipTargets, Poses] | None = None
         self._coupling: Coupling | None = None
         self._last = self._at_rest()
         self._smoothing = Smoothing(
@@ -244,7 +244,7 @@ class Planner:
         """How tips hold an object together; None where each moves on its own."""
         return self._coupling
 
-    def couple(self, held: Pose | None = None) -> None:
+    def couple(self, held: Pose | None = None, q: npt.ArrayLike | None = None) -> None:
         """Keep all tips where they are to each other: they hold one object.
 
         From the next tick on, `step` takes the object's twist (6,) and its pose as a target.
@@ -252,15 +252,18 @@ class Planner:
         Args:
             held: the object's pose in the base frame; half way between the tips and in base axes
                 if None.
+            q: (n,) where the arm is [rad, m]; where it should be if None.
 
         Raises:
-            StateError: there is one tip, an axis of a tip is not controlled, or no tick has told
+            StateError: there is one tip, an axis of a tip is not controlled, or nothing tells
                 where they are.
         """
         robot, due = self.robot, self._last.reference
         if len(robot.tips) < 2 or robot.m < 6 * len(robot.tips):
             raise StateError(f"'{robot.name}' has {robot.m} controlled axes of the tips "
                              f'{known(robot.tips)}; to couple takes two tips with six axes each')
+        if q is not None:
+            due = robot.kinematics(q).tips
         if due is None:
             raise StateError('the tips cannot be coupled before a tick has told where they are')
         self._set_coupling(Coupling.of(due, None if held is None else checked_pose(held)))
@@ -310,20 +313,31 @@ class Planner:
             self._given = things, Scene.of(things)
         return self._given[1]
 
-    def _of_tips(self, target: Mapping[str, Pose], due: Poses) -> Poses:
-        """Return the poses that tips shall go to; the others stay where they are due."""
-        if self._given_tips is None or self._given_tips[0] is not target:
-            self._given_tips = target, poses_of_tips(target, self.robot, due)
-        return self._given_tips[1]
+    def _of_tips(self, target: TipTargets, due: Poses, command: Array) -> Poses:
+        """Return the poses that tips shall go to; the others stay where they are due.
+
+        A tip that a twist moves is due somewhere else in each tick; its target takes the twist
+        out of the command (6 t,).
+        """
+        aimed = [target.get(tip) is not None for tip in self.robot.tips]
+        command.reshape(-1, 6)[aimed] = 0.0
+        known = self._given_tips
+        if known is None or known[0] is not target or command.any():
+            before = due if known is None or known[0] is not target else known[1]
+            others = Poses.of(*(
+                now if part.any() else pose for now, pose, part in zip(
+                    due.each, before.each, command.reshape(-1, 6))))
+            known = self._given_tips = target, poses_of_tips(target, self.robot, others)
+        return known[1]
 
     def _of_object(
-        self, coupling: Coupling, target: Target | Mapping[str, Pose],
+        self, coupling: Coupling, target: Target | TipTargets,
     ) -> Poses:
         """Return the poses of coupled tips where their object is at a target."""
         return coupling.tips(self._of_first(coupling, target)[self.robot.tips[0]])
 
     def _of_first(
-        self, coupling: Coupling, target: Target | Mapping[str, Pose],
+        self, coupling: Coupling, target: Target | TipTargets,
     ) -> dict[str, Pose]:
         """Return the pose of the tip that leads where the object is at a target."""
         if not isinstance(target, Pose):
@@ -352,6 +366,11 @@ class Planner:
         return None if self._last.reference is None else self._last.reference.first
 
     @property
+    def references(self) -> Poses | None:
+        """Where all tips should be now; None before the first tick after a reset."""
+        return self._last.reference
+
+    @property
     def posture_ahead(self) -> Array:
         """Where the arm will be by its commands at the end of the latest (n,) [rad, m]."""
         return self._observer.ahead
@@ -377,7 +396,7 @@ class Planner:
     def step(
         self, q: Array, twist: Array, scene: Scene | Sequence[Obstacle], dt: float,
         ahead: Preview | TwistAhead | None = None,
-        target: Target | Mapping[str, Pose] | None = None, *,
+        target: Target | TipTargets | None = None, *,
         news: Sequence[Sighting] = (), gently: bool = False,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`.
@@ -397,8 +416,8 @@ class Planner:
             target: where to go, as fast as the limits allow: a pose of the tip, or joint positions
                 (n,) [rad, m]; or a chunk of either, to follow in its time: the same object in each
                 tick while it holds. Of an arm with several tips, tip → its pose, or joint
-                positions; tips that are not named stay where they are. None to follow the twist.
-                With a target, `twist` and `ahead` do not count.
+                positions; tips without a pose follow their twist, or stay where they are. None to
+                follow the twist. Of tips with a target `twist` and `ahead` do not count.
             news: all targets that came since the last step, `target` the last of them, with the
                 ages of their stamps: of a stream whose messages come late or several at once.
                 Where it is empty, one came if `target` is another than in the last step.
@@ -429,7 +448,7 @@ class Planner:
                 news = [Sighting(self._of_first(self._coupling, seen.target), seen.age)
                         for seen in news]
         elif isinstance(target, Mapping):
-            target = self._of_tips(target, due)
+            target = self._of_tips(target, due, command)
         news = checked_news(news, target, self.robot)
         around = self._watch.look(scene, arm, last.dq, dt)
 
@@ -698,8 +717,7 @@ class Planner:
             turning = np.array([
                 turned(part, rotation) for part, rotation in zip(turning, arm.tip_rotations)])
         off = poses_error(coupling.tips(arm.tips.first), arm.tips, False)
-        p = self._parameters
-        rates = p.feedback_gain * off[6:]
+        rates = self._parameters.feedback_gain * off[6:]
         return request._replace(
             jacobian=np.vstack((request.jacobian[:6], coupling.rows(arm))),
             twist=np.concatenate((request.twist[:6], rates)),

@@ -65,7 +65,10 @@ class RobotParameters:
         '', description='Link in whose frame commands and obstacles are given; empty for the '
                         "URDF's root link.")
     tip_frame: str = parameter(
-        '', description='Link whose origin is the end effector. Required.')
+        '', description='Link whose origin is the end effector. Required, or else tips.')
+    tips: tuple[str, ...] = parameter(
+        (), description='Such links of a body with several arms, instead of tip_frame. Each has '
+                        'topics of its own, TIP/cmd_vel and TIP/target_pose.')
     mount_frame: str = parameter(
         '', description='Frame in which the base stands at mount_pose, and in which commands and '
                         'obstacles are given then: that of a cell, or of several arms. Empty: '

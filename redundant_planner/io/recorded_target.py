@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.robot.se3 import checked_pose, Pose
+from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses
 from redundant_planner.core.target.chunk import Chunk
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Goal, Target, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
 
 Array = npt.NDArray[np.float64]
@@ -32,12 +33,13 @@ class RecordedTarget(NamedTuple):
     """What a row says of the target.
 
     Attributes:
-        target: that commands the arm in place of the twist; None for none, or where `goes_on`.
+        target: that commands the arm in place of the twist; None for none, or where `goes_on`. Of
+            an arm with several tips each is in it, in their order, with its pose or None.
         goes_on: whether the latest chunk that was a target is the target still.
         news: see `Planner.step`.
     """
 
-    target: Target | None = None
+    target: Target | TipTargets | None = None
     goes_on: bool = False
     news: tuple[Sighting, ...] = ()
 
@@ -48,30 +50,40 @@ class RecordedTarget(NamedTuple):
             return _WITH_CHUNK, _numbers_of_chunk(target)
         if target is None:
             return _WITH_SAME_CHUNK * self.goes_on, np.empty(0)
-        kind = _WITH_POSE if isinstance(target, Pose) else _WITH_JOINTS
+        assert not isinstance(target, Poses), 'tips are recorded by name'
+        kind = _WITH_JOINTS if isinstance(target, np.ndarray) else _WITH_POSE
         if not self.news:
             return kind, _numbers(target)
+        tips = tuple(target) if isinstance(target, Mapping) else ()
         return kind + _WITH_NEWS, np.concatenate((_numbers(target), *(
-            (*_numbers(seen), np.nan if age is None else age) for seen, age in self.news),
-            (len(self.news),)))
+            (*_numbers(_of_all(seen, tips)), np.nan if age is None else age)
+            for seen, age in self.news), (len(self.news),)))
 
 
-def parted(row: Array, kind: int, n: int) -> tuple[Array, int, RecordedTarget]:
+def parted(
+    row: Array, kind: int, n: int, tips: Sequence[str] = (),
+) -> tuple[Array, int, RecordedTarget]:
     """Return a row and its kind without the target, and that.
 
     Args:
         row: with the target's numbers at its end.
         kind: of the row, less than 100.
         n: joints of the arm.
+        tips: of an arm with several that are not coupled, each with a target of its own.
 
     Raises:
         StateError: there is no such target.
     """
     news: tuple[Sighting, ...] = ()
     what = kind // _STEP * _STEP
-    width = {_WITH_POSE: _POSE, _WITH_JOINTS: n}.get(what, 0)
+    width = {_WITH_POSE: _POSE * max(len(tips), 1), _WITH_JOINTS: n}.get(what, 0)
+
+    def read(numbers: Array) -> Goal | TipTargets:
+        return (_tip_targets(numbers, tips) if tips and what == _WITH_POSE else
+                _target(numbers, pose=what == _WITH_POSE))
+
     if width and kind % _KINDS >= _WITH_NEWS:
-        row, news = _news_parted(row, width, poses=what == _WITH_POSE)
+        row, news = _news_parted(row, width, read)
         kind -= _WITH_NEWS
     if what == _WITH_CHUNK:
         row, chunk = _chunk_parted(row)
@@ -79,14 +91,30 @@ def parted(row: Array, kind: int, n: int) -> tuple[Array, int, RecordedTarget]:
     if len(row) < width:
         raise StateError(f'a recorded tick has {row.size} numbers, and {width} of a target')
     row, end = np.split(row, [len(row) - width])
-    target = _target(end, pose=what == _WITH_POSE) if width else None
+    target = read(end) if width else None
     return row, kind - what, RecordedTarget(target, what == _WITH_SAME_CHUNK, news)
 
 
-def _numbers(target: Pose | Array) -> Array:
+def _numbers(target: Goal | TipTargets) -> Array:
+    if isinstance(target, Mapping):
+        return np.concatenate([
+            np.full(_POSE, np.nan) if pose is None else _numbers(pose)
+            for pose in target.values()])
     if isinstance(target, Pose):
         return np.concatenate((target.position, target.rotation.ravel()))
     return target
+
+
+def _of_all(target: Goal | TipTargets, tips: Sequence[str]) -> Goal | TipTargets:
+    """Return a target with all tips in it, if it is one of tips."""
+    return {tip: target.get(tip) for tip in tips} if isinstance(target, Mapping) else target
+
+
+def _tip_targets(numbers: Array, tips: Sequence[str]) -> TipTargets:
+    """Return the targets of several tips of their numbers; StateError if they are none."""
+    return {tip: None if np.isnan(pose).all() else checked_pose(
+                Pose(pose[:3], pose[3:].reshape(3, 3)))
+            for tip, pose in zip(tips, numbers.reshape(len(tips), _POSE))}
 
 
 def _target(numbers: Array, *, pose: bool) -> Pose | Array:
@@ -98,7 +126,9 @@ def _target(numbers: Array, *, pose: bool) -> Pose | Array:
     return numbers
 
 
-def _news_parted(row: Array, width: int, *, poses: bool) -> tuple[Array, tuple[Sighting, ...]]:
+def _news_parted(
+    row: Array, width: int, read: Callable[[Array], Goal | TipTargets],
+) -> tuple[Array, tuple[Sighting, ...]]:
     """Return a row without the targets of some numbers that came before the tick, and these."""
     count = row[-1] if len(row) else 0.0
     size = (width + 1) * count
@@ -107,7 +137,7 @@ def _news_parted(row: Array, width: int, *, poses: bool) -> tuple[Array, tuple[S
                          'those that its row has')
     begin = len(row) - 1 - int(size)
     return row[:begin], tuple(
-        Sighting(_target(item[:-1], pose=poses), None if np.isnan(item[-1]) else float(item[-1]))
+        Sighting(read(item[:-1]), None if np.isnan(item[-1]) else float(item[-1]))
         for item in row[begin:-1].reshape(int(count), width + 1))
 
 

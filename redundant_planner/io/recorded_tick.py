@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.io.recorded_target import parted, RecordedTarget
 
@@ -49,9 +49,10 @@ class RecordedTick(NamedTuple):
         obstacle_messages, preview_messages: how many had been taken in before the tick.
         preview_elapsed: where the latest preview began at this tick [s]; NaN if none holds.
         attached_messages: how many on `attached` had been taken in before the tick.
-        twist: (6,) in the command frame [m/s, rad/s].
+        twist: (6,) in the command frame [m/s, rad/s]; of t tips that are not coupled (t, 6).
         q: (n,) measured posture [rad, m].
-        target: that commands the arm in place of the twist; None for none, or where `goes_on`.
+        target: that commands the arm in place of the twist; None for none, or where `goes_on`; of
+            tips that are not coupled see `RecordedTarget`.
         checked_messages: as `obstacle_messages`, of all topics with obstacles, each with the
             `checksum` of the latest one: a recorder may come later than the planner, or earlier.
         goes_on: whether the latest chunk that was a target is the target still.
@@ -67,7 +68,7 @@ class RecordedTick(NamedTuple):
     attached_messages: int
     twist: Array
     q: Array
-    target: Target | None = None
+    target: Target | TipTargets | None = None
     checked_messages: tuple[tuple[int, int], ...] = ()
     goes_on: bool = False
     news: tuple[Sighting, ...] = ()
@@ -78,26 +79,43 @@ class RecordedTick(NamedTuple):
         kind = self.kind + _WITH_ATTACHED + more + _WITH_TOPIC * len(self.checked_messages)
         return array.array('d', np.concatenate((
             (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
-             self.preview_messages, self.preview_elapsed, self.attached_messages), self.twist,
-            self.q, target, *self.checked_messages)).tobytes())
+             self.preview_messages, self.preview_elapsed, self.attached_messages),
+            self.twist.ravel(), self.q, target, *self.checked_messages)).tobytes())
 
     @classmethod
-    def of(cls, numbers: Sequence[float], n: int) -> RecordedTick:
+    def of(cls, numbers: Sequence[float], n: int, tips: Sequence[str] = ()) -> RecordedTick:
         """Return the tick that `numbers` gives, of an arm with n joints.
+
+        Args:
+            numbers: the row.
+            n: joints.
+            tips: of an arm with several. Its rows have a twist for each, or one if they are
+                coupled.
 
         Raises:
             StateError: there are more or fewer numbers, the kind is none, or a number is
                 impossible.
         """
-        row, aimed, more = _parted(np.array(numbers, dtype=float).ravel(), n)
+        given = np.array(numbers, dtype=float).ravel()
+        if len(tips) > 1:
+            try:  # its length fits only one of the two
+                return cls._of(given.copy(), n, tips)
+            except StateError:
+                return cls._of(given, n, ())
+        return cls._of(given, n, ())
+
+    @classmethod
+    def _of(cls, numbers: Array, n: int, tips: Sequence[str]) -> RecordedTick:
+        row, aimed, more = _parted(numbers, n, tips)
+        twist = _TWIST * max(len(tips), 1)
         if len(row) >= _HEAD:
             if row[3] >= _WITH_ATTACHED:
                 row[3] -= _WITH_ATTACHED
             else:
                 row = np.insert(row, _HEAD - 1, 0.0)
-        if row.shape != (_HEAD + _TWIST + n,):
+        if row.shape != (_HEAD + twist + n,):
             raise StateError(f'a recorded tick has {row.size} numbers; of a robot with {n} joints '
-                             f'it takes {_HEAD + _TWIST + n}')
+                             f'it takes {_HEAD + twist + n}')
         if row[3] not in list(TickKind):
             raise StateError(f'a recorded tick is of kind {row[3]:g}; it must be one of '
                              f'{[int(kind) for kind in TickKind]}')
@@ -114,12 +132,15 @@ class RecordedTick(NamedTuple):
                              'be whole numbers, 0 or more')
         return cls(int(row[0]) * _BILLION + int(row[1]), float(row[2]), TickKind(int(row[3])),
                    int(row[4]), int(row[5]), float(row[6]), int(row[7]),
-                   row[_HEAD:_HEAD + _TWIST], row[_HEAD + _TWIST:], aimed.target,
+                   row[_HEAD:_HEAD + twist].reshape((-1, 6) if tips else 6),
+                   row[_HEAD + twist:], aimed.target,
                    tuple((int(count), int(check)) for count, check in more.reshape(-1, 2)),
                    aimed.goes_on, aimed.news)
 
 
-def _parted(row: Array, n: int) -> tuple[Array, RecordedTarget, Array]:
+def _parted(
+    row: Array, n: int, tips: Sequence[str],
+) -> tuple[Array, RecordedTarget, Array]:
     """Return a row without what only some have at their end, its target, and further topics."""
     more, aimed = np.empty(0), RecordedTarget()
     if len(row) <= _HEAD:
@@ -130,7 +151,7 @@ def _parted(row: Array, n: int) -> tuple[Array, RecordedTarget, Array]:
         row[3] -= topics * _WITH_TOPIC
     if 0.0 <= row[3] < _WITH_TOPIC and row[3] == round(row[3]):
         head, rest = np.split(row, [_HEAD - 1])
-        rest, head[3], aimed = parted(rest, int(row[3]), n)
+        rest, head[3], aimed = parted(rest, int(row[3]), n, tips)
         row = np.concatenate((head, rest))
     return row, aimed, more
 

@@ -192,15 +192,15 @@ def build_robot(
         RobotError, ObstacleError, ParameterError: with what is wrong.
     """
     p = parameters
-    if not p.tip_frame:
+    if not (p.tip_frame or p.tips):
         raise ParameterError("parameter 'tip_frame' is empty; name the URDF link that is the "
-                             'end effector')
+                             "end effector, or several with 'tips'")
     urdf = mounted(urdf, p.mount_frame, p.mount_pose)
     base_frame = base_of(urdf, p.mount_frame, p.base_frame)
 
     def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
         return Robot(
-            urdf, p.tip_frame, base_frame=base_frame, locked_positions=p.locked,
+            urdf, p.tip_frame, tips=p.tips, base_frame=base_frame, locked_positions=p.locked,
             axes=p.axes, command_frame=p.command_frame, position_limits=p.position_ranges,
             velocity_max=p.velocity_max or None, acceleration_max=p.acceleration_max or None,
             jerk_max=p.jerk_max or None, capsules=shapes, link_radius=p.link_radius)

@@ -11,7 +11,7 @@ from redundant_planner.core.errors import known, ObstacleError, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.goal import checked_target, Target
 from redundant_planner.core.target.moving_target import Sighting
@@ -94,16 +94,16 @@ class CommandInput:
         """The target; None without one, or before its first tick."""
         return None if self._from_tip else self._target
 
-    def target(self, tip: Pose) -> Target | None:
+    def target(self, places: Poses) -> Target | None:
         """Return where the arm shall go; None if a twist commands.
 
         Args:
-            tip: where it should be now; a pose in the tip's frame is meant from there.
+            places: where the tip should be now; a pose in the tip's frame is meant from there.
         """
         if self._from_tip and isinstance(self._target, Pose):
-            self._target = se3.composed(tip, self._target)
+            self._target = se3.composed(places.first, self._target)
         elif self._from_tip and isinstance(self._target, Chunk):
-            self._target = _placed(tip, self._target)
+            self._target = _placed(places.first, self._target)
         self._from_tip = False
         return self._target
 
@@ -120,9 +120,23 @@ class CommandInput:
         """Return how long ago the command came [s], infinite without one."""
         return self._clock() - self._time
 
-    def twist(self, timeout: float) -> Array:
-        """Return the twist (6,) in the axes of `frame`; zero when it is older than `timeout`."""
-        return self._twist if self._is_fresh(timeout) else np.zeros(6)
+    def moves(self, timeout: float) -> bool:
+        """Return whether a twist that is not older than `timeout` moves the tip."""
+        return self._is_fresh(timeout) and bool(self._twist.any())
+
+    def twist(self, timeout: float, places: Callable[[], Poses]) -> Array:
+        """Return the twist (6,) in command axes.
+
+        Args:
+            timeout: one that is older counts as zero [s].
+            places: returns where the tip is.
+        """
+        if not self._is_fresh(timeout):
+            return np.zeros(6)
+        if self.frame == self._command_frame or not self._twist.any():
+            return self._twist
+        rotation = places().rotation[0]
+        return se3.turned(self._twist, rotation if self.frame == 'tool' else rotation.T)
 
     def ahead(self, timeout: float) -> TwistAhead | None:
         """Return the twists that will be commanded from now on.

@@ -15,13 +15,13 @@ from redundant_planner.core.constants import limits_of
 from redundant_planner.core.errors import ObstacleError, StateError
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot import se3
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.redundancy.coupling import Coupling
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.safety.following import Following
 from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
 from redundant_planner.core.target.chunk import Chunk
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.node_parameters import PlannerNodeParameters
@@ -40,11 +40,14 @@ from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.second_process import ACKNOWLEDGED, PAUSE, STOPS
 from redundant_planner.nodes.state_report import LoopState
 from redundant_planner.nodes.supervisor import Decision, FRESH_AFTER, MOVED_BY_OTHERS, Supervisor
+from redundant_planner.nodes.tip_commands import OBJECT, TipCommands
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
 Array = npt.NDArray[np.float64]
 
 _NO_TWIST = np.zeros(6)
+# An arm this slow stands still, as to what its hands begin to hold [rad/s, m/s].
+_STANDS_STILL = 1e-3
 # A measured posture that jumps by more than this beyond what the arm can travel starts everything
 # again from there [rad, m].
 _JUMP = 0.1
@@ -73,9 +76,9 @@ class ControlLoop:
 
     def __init__(
         self, planner: Planner | PaperPlanner, settings: PlannerNodeParameters, *,
-        clock: LoopClock, command: CommandInput, obstacles: ObstacleInput, attached: Payload,
-        output: CommandOutput, last_word: LastWord, guard: Guard, warn: Callable[[str], None],
-        publish_tick: Callable[[array.array[float]], None] | None,
+        clock: LoopClock, command: CommandInput | TipCommands, obstacles: ObstacleInput,
+        attached: Payload, output: CommandOutput, last_word: LastWord, guard: Guard,
+        warn: Callable[[str], None], publish_tick: Callable[[array.array[float]], None] | None,
     ) -> None:
         """Prepare, with the arm at rest.
 
@@ -151,6 +154,7 @@ class ControlLoop:
     def on_target(self, raw: bytes) -> None:
         """Take a serialised target_pose."""
         if self._goes_to_targets('target_pose'):
+            assert isinstance(self.command, CommandInput), 'several tips have their own topics'
             self.command.on_target(raw)
 
     def on_joint_target(self, raw: bytes) -> None:
@@ -161,6 +165,7 @@ class ControlLoop:
     def on_path(self, raw: bytes) -> None:
         """Take a serialised target_path."""
         if self._goes_to_targets('target_path'):
+            assert isinstance(self.command, CommandInput), 'several tips have their own topics'
             self.command.on_path(raw)
 
     def on_trajectory(self, raw: bytes) -> None:
@@ -298,13 +303,14 @@ class ControlLoop:
             lag, dead_time = _drive_of(self.planner)
             self._following.begin(posture, lag + self.output.lag, dead_time)
             self._position_command.start(posture, self._lead)
-        twist, ahead, target = _NO_TWIST, None, None
+        self._couple(posture)
+        twist, ahead, target = self._no_twist, None, None
         if ignore_command:
             self._forget_target(ignore_command)
         else:
             timeout = self.settings.incoming_command_timeout
             target = self._target(posture)
-            twist = self._in_command_frame(self.command.twist(timeout), posture)
+            twist = self._twist(timeout, posture)
             ahead = self.command.ahead(timeout)
         self.state.trouble = ignore_command
         news = self.command.take_news() if target is not None else ()
@@ -327,11 +333,51 @@ class ControlLoop:
         self.state.result = result
         self.state.jerk_given_up += not result.jerk_kept
 
+    def couple(self, wanted: bool) -> tuple[bool, str]:
+        """Have several tips of an arm that stands still hold one object, or no longer.
+
+        Returns:
+            Whether that can be, and a sentence about it.
+        """
+        robot = self._robot
+        if not isinstance(self.command, TipCommands):
+            return False, f"'{robot.name}' has one tip; to couple takes two (parameter 'tips')"
+        if np.abs(self.velocity).max() > _STANDS_STILL:
+            return False, 'the arm moves; couple and let go while it stands still'
+        if wanted and self.supervisor.posture is None:
+            return False, 'nothing was heard on joint_states yet'
+        if wanted and robot.m < 6 * len(robot.tips):
+            return False, 'to couple takes all six axes of each tip'
+        self.command.forget()
+        self.command.coupled = wanted
+        return True, (f'{" and ".join(robot.tips)} hold one object: move it by {OBJECT}/cmd_vel '
+                      f'and {OBJECT}/target_pose' if wanted else 'each tip moves on its own')
+
+    @property
+    def _coupled(self) -> bool:
+        return isinstance(self.command, TipCommands) and self.command.coupled
+
+    @property
+    def _no_twist(self) -> Array:
+        """Return a command of none."""
+        tips = len(self._robot.tips)
+        return _NO_TWIST if tips == 1 or self._coupled else np.zeros((tips, 6))
+
+    def _couple(self, posture: Array) -> None:
+        """Couple the tips, or let go, as it is wanted: between two ticks of the planner."""
+        planner = self.planner
+        if not isinstance(planner, Planner) or self._coupled == (planner.coupling is not None):
+            return
+        if self._coupled:
+            planner.couple(q=posture)
+        else:
+            planner.uncouple()
+
     def _see_whether_it_follows(self) -> None:
         """Compare what was commanded with what was measured, and see who moves the arm."""
         supervisor, following = self.supervisor, self._following
         timeout = self.settings.incoming_command_timeout
-        wishes = self.command.has_target or bool(self.command.twist(timeout).any())
+        wishes = self.command.has_target or self.command.moves(timeout)
         supervisor.heard_a_wish(wishes, self.now, self.at_rest)
         self._wished_at = self.now if wishes else self._wished_at
         self.state.astray = supervisor.astray
@@ -383,26 +429,29 @@ class ControlLoop:
         assert posture is not None, 'the arm moves only after a measurement'
         return posture
 
-    def _target(self, posture: Array) -> Target | None:
+    def _target(self, posture: Array) -> Target | TipTargets | None:
         """Return where the arm shall go; None if a twist commands."""
         if not self.command.has_target:
             return None
-        tip = self.planner.reference
-        if tip is None:
-            arm = self._robot.kinematics(posture)
-            tip = Pose(arm.tip_position, arm.tip_rotation)
-        return self.command.target(tip)
+        due = self.planner.references
+        return self.command.target(self._places(
+            self._robot.kinematics(posture).tips if due is None else due))
 
-    def _in_command_frame(self, twist: Array, posture: Array) -> Array:
-        """Return a twist (6,) of the operator's in the planner's command axes."""
-        if self.command.frame == self._robot.command_frame or not twist.any():
-            return twist
-        rotation = self._robot.kinematics(posture).tip_rotation
-        return se3.turned(twist, rotation if self.command.frame == 'tool' else rotation.T)
+    def _twist(self, timeout: float, posture: Array) -> Array:
+        """Return the twist (6,) of the operator's in the planner's command axes, or several."""
+        return self.command.twist(
+            timeout, lambda: self._places(self._robot.kinematics(posture).tips))
+
+    def _places(self, tips: Poses) -> Poses:
+        """Return where the tips are, or what they hold."""
+        if not self._coupled or not isinstance(self.planner, Planner):
+            return tips
+        coupling = self.planner.coupling or Coupling.of(tips)
+        return Poses.of(coupling.object_pose(tips.first))
 
     def _send(
-        self, dq: Array, kind: TickKind, twist: Array = _NO_TWIST,
-        ahead: TwistAhead | None = None, target: Target | None = None,
+        self, dq: Array, kind: TickKind, twist: Array | None = None,
+        ahead: TwistAhead | None = None, target: Target | TipTargets | None = None,
         news: tuple[Sighting, ...] = (),
     ) -> None:
         """Publish a command (n,) at its moment, and the inputs that led to it."""
@@ -424,7 +473,8 @@ class ControlLoop:
                 self._chunk, target = target, None if goes_on else target
             self._publish_tick(RecordedTick(
                 stamp_ns, self.now, kind, obstacles[0][0], self.command.previews, elapsed,
-                self.attached.read_counts[0], twist, posture, target, obstacles,
+                self.attached.read_counts[0], self._no_twist if twist is None else twist, posture,
+                target, obstacles,
                 goes_on, news).numbers())
 
     def _read_and_prepare(self, moves: bool) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 import math
@@ -52,6 +52,7 @@ from redundant_planner.nodes.settings import Settings
 from redundant_planner.nodes.startup import Startup
 from redundant_planner.nodes.throttled_log import ThrottledLog
 from redundant_planner.nodes.tick_phase import delay_to_middle
+from redundant_planner.nodes.tip_commands import OBJECT, TipCommands
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
@@ -69,6 +70,8 @@ _CONFIGURATION_PAUSE = 0.25
 _REPORT_PERIOD = 0.2
 # Period of ~/target while there is a target [s].
 _PROGRESS_PERIOD = 0.05
+# A subscription that each tick fetches, and who takes its messages.
+Inbox = tuple[PolledSubscription, Callable[[bytes], None]]
 # Period of ~/body while somebody listens [s].
 _BODY_PERIOD = 0.02
 
@@ -117,8 +120,8 @@ class PlannerNode(EndableNode):
                   'static_obstacle', STATIC_OBSTACLE)
         self._run(loop)
         self.get_logger().info(
-            f"planning for '{robot.name}' from {robot.base_frame} to {robot.tip_frame} at "
-            f'{self._settings.node.rate} Hz; joints: {", ".join(robot.joint_names)}')
+            f"planning for '{robot.name}' from {robot.base_frame} to {' and '.join(robot.tips)} "
+            f'at {self._settings.node.rate} Hz; joints: {", ".join(robot.joint_names)}')
 
     def _brief(self, robot: Robot) -> Brief:
         """Return what the second process must know to stop the arm in this node's place."""
@@ -143,9 +146,14 @@ class PlannerNode(EndableNode):
         tracker = ObstacleSources.of(
             len(topics), self._settings.obstacles(), sorted({robot.base_frame, ''}),
             transform=transform, estimate_velocity=settings.estimate_obstacle_velocity)
-        command = CommandInput(
-            {robot.base_frame: 'base', robot.tip_frame: 'tool'}, robot.command_frame, clock.now,
-            clock.ros_time, self._warn, transform)
+
+        def commands_of(tip: str) -> CommandInput:
+            return CommandInput({robot.base_frame: 'base', tip: 'tool'}, robot.command_frame,
+                                clock.now, clock.ros_time, self._warn, transform)
+
+        command = commands_of(robot.tip_frame) if len(robot.tips) == 1 else TipCommands(
+            {tip: commands_of(tip) for tip in robot.tips}, commands_of(OBJECT),
+            commands_of(robot.tip_frame), self._warn)
         command.timeout = settings.incoming_command_timeout
         # Latched: a recorder that comes late still gets the beginning.
         history = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -163,22 +171,18 @@ class PlannerNode(EndableNode):
 
     def _connect(self, loop: ControlLoop) -> None:
         """Subscribe to the inputs and offer the services."""
-        stamped = self._settings.node.enable_stamped_cmd_vel
-        # Each tick fetches these: they do not age while other callbacks run.
+        # Each tick fetches these: they do not age while other callbacks run. Targets are sent once
+        # and meant to be heard, unlike a stream of twists; or in bursts.
         loop.inboxes = [
             (PolledSubscription(self, JointState, 'joint_states', _JOINT_STATES),
              loop.on_joint_states),
-            (PolledSubscription(self, TwistStamped if stamped else Twist, 'cmd_vel'),
-             loop.command.on_twist_stamped if stamped else loop.command.on_twist),
-            # Sent once and meant to be heard, unlike a stream of twists; or in bursts.
-            (PolledSubscription(self, PoseStamped, 'target_pose', _TARGETS), loop.on_target),
             (PolledSubscription(self, JointState, 'target_joints', _TARGETS),
              loop.on_joint_target),
-            (PolledSubscription(self, Path, 'target_path', QoSProfile(depth=10)), loop.on_path),
             (PolledSubscription(self, JointTrajectory, 'target_trajectory', QoSProfile(depth=10)),
-             loop.on_trajectory)]
-        self.create_subscription(
-            MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)
+             loop.on_trajectory), *self._tip_inboxes(loop)]
+        if isinstance(loop.command, CommandInput):
+            self.create_subscription(
+                MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)
         for i, topic in enumerate(self._settings.node.obstacle_topics):
             self.create_subscription(
                 MarkerArray, topic, partial(loop.obstacles.on_message, topic=i), 10, raw=True)
@@ -197,8 +201,34 @@ class PlannerNode(EndableNode):
             response.success, response.message = True, loop.supervisor.reset()
             return response
 
+        def on_couple(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+            response.success, response.message = loop.couple(bool(request.data))
+            return response
+
         self.create_service(SetBool, '~/pause', on_pause)
+        self.create_service(SetBool, '~/couple', on_couple)
         self.create_service(Trigger, '~/reset', on_reset)
+
+    def _tip_inboxes(self, loop: ControlLoop) -> list[Inbox]:
+        """Subscribe to what moves the tip, or each of several and what they hold."""
+        stamped = self._settings.node.enable_stamped_cmd_vel
+        kind, command = TwistStamped if stamped else Twist, loop.command
+        if isinstance(command, CommandInput):
+            return [
+                (PolledSubscription(self, kind, 'cmd_vel'),
+                 command.on_twist_stamped if stamped else command.on_twist),
+                (PolledSubscription(self, PoseStamped, 'target_pose', _TARGETS), loop.on_target),
+                (PolledSubscription(self, Path, 'target_path', QoSProfile(depth=10)),
+                 loop.on_path)]
+        on_twist = CommandInput.on_twist_stamped if stamped else CommandInput.on_twist
+        inboxes: list[Inbox] = []
+        for tip in (*command.tips, OBJECT):
+            twist, target = f'{tip}/cmd_vel', f'{tip}/target_pose'
+            inboxes += [
+                (PolledSubscription(self, kind, twist), command.on_tip(tip, twist, on_twist)),
+                (PolledSubscription(self, PoseStamped, target, _TARGETS),
+                 command.on_tip(tip, target, CommandInput.on_target))]
+        return inboxes
 
     def _add_chores(self, loop: ControlLoop) -> Reports:
         """Plan the work between ticks; return the reports, which are a part of it."""
@@ -293,8 +323,12 @@ class PlannerNode(EndableNode):
         assert self.loop is not None
         if self.loop.at_rest:
             self._move_ticks(self.loop)
+        command = self.loop.command
+        twists = ['cmd_vel'] if isinstance(command, CommandInput) else [
+            f'{tip}/cmd_vel' for tip in (*command.tips, OBJECT)]
         self.loop.supervisor.found_publishers(
-            publishers_of(self, 'joint_command'), publishers_of(self, 'cmd_vel'))
+            publishers_of(self, 'joint_command'),
+            max((publishers_of(self, topic) for topic in twists), key=len))
         output, state = self.loop.output, self.loop.state
         state.listeners, before = output.listeners(), state.unheard
         state.unheard = output.unheard()

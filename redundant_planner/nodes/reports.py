@@ -10,7 +10,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.io.software_version import with_version
 from redundant_planner.nodes.body_writer import BodyWriter
 from redundant_planner.nodes.control_loop import ControlLoop
@@ -45,7 +45,7 @@ class Reports:
         self._target = node.create_publisher(DiagnosticArray, '~/target', latched)
         self._body = node.create_publisher(MarkerArray, '~/body', 1)
         self._body_writer = self._body_of(self._robot)
-        self._known_target: Target | None = None
+        self._known_target: Target | TipTargets | None = None
 
     def publish_configuration(self) -> None:
         """Publish all parameters if they have changed, so that a bag explains itself."""

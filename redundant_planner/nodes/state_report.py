@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -15,7 +15,7 @@ from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.chunk import Chunk
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.progress import TargetState
 
 Array = npt.NDArray[np.float64]
@@ -128,6 +128,12 @@ def status_of(
             'nearest distance [m]': (
                 f'{result.nearest.distance:.4f}' if result.nearest else 'inf'),
         }
+    if result is not None:
+        for tip, found in zip(robot.tips, result.tips):
+            values |= {
+                f'twist scale s ({tip})': f'{found.scale:.4f}',
+                f'path error ({tip}) [m]': (
+                    f'{float(np.linalg.norm(found.path_error[:3])):.6f}')}
     if q is not None:
         room = np.minimum(robot.position_max - q, q - robot.position_min)
         least = int(room.argmin())
@@ -137,7 +143,7 @@ def status_of(
 
 
 def progress_status(
-    name: str, robot: Robot, target: Target | None, result: StepResult | None,
+    name: str, robot: Robot, target: Target | TipTargets | None, result: StepResult | None,
     astray: str = '',
 ) -> DiagnosticStatus:
     """Return the entry of ~/target.
@@ -174,7 +180,10 @@ def progress_status(
     return status
 
 
-def _target_text(robot: Robot, target: Target) -> str:
+def _target_text(robot: Robot, target: Target | TipTargets) -> str:
+    if isinstance(target, Mapping):
+        return '; '.join(f'{tip}: {_target_text(robot, pose)}'
+                         for tip, pose in target.items() if pose is not None)
     if isinstance(target, Chunk):
         return (f'{len(target.times)} points within {target.times[-1]:.3f} s, the last one at '
                 f'{_target_text(robot, target.end)}')

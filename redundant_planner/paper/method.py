@@ -28,10 +28,10 @@ from redundant_planner.core.redundancy.null_space import dynamic_factor
 from redundant_planner.core.robot.jacobian import derivative_times
 from redundant_planner.core.robot.kinematics import Kinematics, Links
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import integrate, Pose, pose_error
+from redundant_planner.core.robot.se3 import integrate, Pose, pose_error, Poses
 from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.step_result import Nearest, StepResult
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
 
 Array = npt.NDArray[np.float64]
@@ -49,8 +49,12 @@ class PaperPlanner:
         """Prepare for a robot.
 
         Raises:
-            ParameterError: it is not the paper's method that is asked for, or joints are weighted.
+            ParameterError: it is not the paper's method that is asked for, joints are weighted, or
+                the robot has several tips.
         """
+        if len(robot.tips) > 1:
+            raise ParameterError(f"parameter 'method' is '{parameters.method}', which takes one "
+                                 f"tip; '{robot.name}' has {known(robot.tips)}")
         self.robot = robot
         self.reference: Pose | None = None
         self.parameters = parameters
@@ -71,6 +75,11 @@ class PaperPlanner:
                                  'has no joint weights')
         self._parameters = parameters
 
+    @property
+    def references(self) -> Poses | None:
+        """Where the tip should be now; None before the first tick after a reset."""
+        return None if self.reference is None else Poses.of(self.reference)
+
     def reset(self) -> None:
         """Forget the reference pose: the arm stands where it is found."""
         self.reference = None
@@ -89,7 +98,8 @@ class PaperPlanner:
 
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
-        target: Target | None = None, *, news: Sequence[Sighting] = (), gently: bool = False,
+        target: Target | TipTargets | None = None, *, news: Sequence[Sighting] = (),
+        gently: bool = False,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`: q̇ = J⁺ẋ + k P∇H (Eq. 1).
 

@@ -145,6 +145,7 @@ def _rows(
                 planner.reset()
                 q = tick.q
             book.expire(tick.time)
+            _couple(planner, tick)
             target = chunk if tick.goes_on else tick.target
             chunk = target if isinstance(target, Chunk) else chunk
             dq = planner.step(
@@ -154,7 +155,18 @@ def _rows(
         positions[i], velocities[i] = q, dq
         q, previous = q + dt * dq, tick.time
     return Replay(np.array([time for time, _ in ticks]), positions, velocities,
-                  np.array([tick.twist for _, tick in ticks]).reshape(-1, 6))
+                  np.array([tick.twist.ravel()[:6] for _, tick in ticks]).reshape(-1, 6))
+
+
+def _couple(planner: Planner | PaperPlanner, tick: RecordedTick) -> None:
+    """Do what the control loop does where several tips begin to hold something, or let go."""
+    coupled = len(planner.robot.tips) > 1 and tick.twist.ndim == 1
+    if not isinstance(planner, Planner) or coupled == (planner.coupling is not None):
+        return
+    if coupled:
+        planner.couple(q=tick.q)
+    else:
+        planner.uncouple()
 
 
 def _read(

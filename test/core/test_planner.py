@@ -24,7 +24,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.capsules import Capsule
-from redundant_planner.core.robot.se3 import integrate, Pose
+from redundant_planner.core.robot.se3 import integrate
 from redundant_planner.core.safety.barriers import fastest_self_motion, STRAY, STRAY_ANGLE
 from redundant_planner.core.safety.limits import stopping_time
 from redundant_planner.core.safety.stage import Stage
@@ -37,6 +37,11 @@ BARE = {'clearance_smoothing': 0.0, 'clearance_influence_distance': np.inf,
         'criteria_k_w': 1.0, 'criteria_k_m': 0.0}
 
 
+def commanded(robot, twists):
+    """Twists (6 t,) as `step` takes them."""
+    return twists if len(robot.tips) == 1 else twists.reshape(-1, 6)
+
+
 def test_equation_1_holds_term_by_term(robot):
     """J q̇ = ẋ and J (k P∇H) = 0 for any gradient, where nothing is damped or filtered."""
     obstacle = Scene.of([Obstacle('o', np.array([0.3, 0.2, 0.5]), np.full(3, 0.1))])
@@ -45,8 +50,8 @@ def test_equation_1_holds_term_by_term(robot):
                       filtered=False)
     for q in random_postures(robot, 20):
         planner.reset()
-        twist = 0.1 * random.normal(size=6)
-        result = planner.step(q, twist, obstacle, DT)
+        twist = 0.1 * random.normal(size=6 * len(robot.tips))
+        result = planner.step(q, commanded(robot, twist), obstacle, DT)
         jacobian = robot.kinematics(q).jacobian
         np.testing.assert_allclose(jacobian @ result.dq, robot.task_rows(twist), atol=1e-9)
         np.testing.assert_allclose(jacobian @ result.homogeneous, 0.0, atol=1e-10)
@@ -62,15 +67,15 @@ def test_the_reference_pose_is_the_command_integrated_and_the_callers_to_keep(ro
     planner = Planner(robot, PlannerParameters(**BARE), filtered=False)
     for q in random_postures(robot, 10):
         planner.reset()
-        twist = robot.full_twist(robot.task_rows(0.1 * random.normal(size=6)))
-        arm = robot.kinematics(q)
-        expected = integrate(
-            Pose(arm.tip_position, arm.tip_rotation), twist, DT, robot.in_tool)
-        planner.step(q, twist, NOTHING, DT)
-        reference = planner.reference
-        planner.step(q, -twist, NOTHING, DT)
-        for found, wanted in zip(reference, expected):
-            np.testing.assert_allclose(found, wanted, atol=1e-9)
+        twist = robot.full_twist(robot.task_rows(0.1 * random.normal(size=6 * len(robot.tips))))
+        expected = [integrate(pose, part, DT, robot.in_tool) for pose, part in zip(
+            robot.kinematics(q).tips.each, twist.reshape(-1, 6))]
+        planner.step(q, commanded(robot, twist), NOTHING, DT)
+        references = planner.references
+        planner.step(q, commanded(robot, -twist), NOTHING, DT)
+        for reference, wanted in zip(references.each, expected):
+            np.testing.assert_allclose(reference.position, wanted.position, atol=1e-9)
+            np.testing.assert_allclose(reference.rotation, wanted.rotation, atol=1e-9)
 
 
 @pytest.mark.parametrize(('gains', 'column', 'tolerance'), [

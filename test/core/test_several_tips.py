@@ -160,6 +160,20 @@ def test_a_stream_for_one_tip_is_followed_without_thinking():
     assert max(off[200:]) < 0.15 * 0.1 + 0.008  # its speed, for a lag of 0.1 s
 
 
+def test_one_tip_goes_to_its_target_while_a_twist_moves_the_other():
+    planner, q, before = Planner(BODY), START, BODY.kinematics(START).tips.each
+    there = Pose(before[0].position + (0.0, 0.05, 0.05), before[0].rotation)
+    target = {'left_hand': there, 'right_hand': None}
+    for tick in range(750):
+        twist = twists((9.0,), (0.0, 0.0, 0.04 if tick < 500 else 0.0))
+        result = planner.step(q, twist, [], DT, target=target)
+        q = q + DT * result.dq
+    after = BODY.kinematics(q).tips.each
+    assert np.abs(pose_error(there, after[0], False)).max() < 1e-3
+    moved = after[1].position - before[1].position
+    assert abs(moved[2] - 0.04 * 500 * DT) < 2e-3 and np.abs(moved[:2]).max() < 1e-3
+
+
 def test_joint_targets_are_for_the_whole_body():
     goal = START + 0.15
     q, states = run_to(Planner(BODY), START, goal, 5.0)

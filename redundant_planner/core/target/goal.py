@@ -14,6 +14,8 @@ from redundant_planner.core.target.chunk import Chunk
 
 Array = npt.NDArray[np.float64]
 
+# Tip → its pose in the base frame; None for one that has no target.
+TipTargets = Mapping[str, Pose | None]
 # A pose in the base frame, or joint positions (n,) [rad, m].
 Goal = Pose | Array
 # A goal, or one of several tips, or the way to a goal with its times.
@@ -69,14 +71,14 @@ def _check_range(chunk: Chunk, robot: Robot) -> None:
 
 
 def poses_of_tips(
-    targets: Mapping[str, Pose], robot: Robot, others: Poses,
+    targets: TipTargets, robot: Robot, others: Poses,
 ) -> Poses:
     """Return where each tip of a robot shall go.
 
     Args:
-        targets: tip → its pose in the base frame.
+        targets: of some tips.
         robot: the robot.
-        others: where tips that are not named shall be.
+        others: where the tips without one shall be.
 
     Raises:
         StateError: there is no such tip, or a pose is none.
@@ -85,5 +87,6 @@ def poses_of_tips(
     if unknown or not targets:
         raise StateError(f'there are targets for {known(unknown) if unknown else "no tip"}; '
                          f"the tips of '{robot.name}' are {known(robot.tips)}")
-    return Poses.of(*(checked_pose(targets[tip]) if tip in targets else other
-                      for tip, other in zip(robot.tips, others.each)))
+    given = (targets.get(tip) for tip in robot.tips)
+    return Poses.of(*(other if pose is None else checked_pose(pose)
+                      for pose, other in zip(given, others.each)))

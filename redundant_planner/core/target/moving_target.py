@@ -14,7 +14,7 @@ from redundant_planner.core.obstacles.scene import rotations
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses
-from redundant_planner.core.target.goal import checked_goal, Goal, Target
+from redundant_planner.core.target.goal import checked_goal, Goal, Target, TipTargets
 from redundant_planner.core.target.smoother import Estimate, Sample, Smoother
 
 Array = npt.NDArray[np.float64]
@@ -41,7 +41,7 @@ class Sighting(NamedTuple):
         age: of its stamp [s], by whichever clocks: differences count. None without a stamp.
     """
 
-    target: Goal | Mapping[str, Pose]
+    target: Goal | TipTargets
     age: float | None = None
 
 
@@ -56,13 +56,14 @@ def checked_news(
     """
     found = []
     for given, age in news:
-        checked: Goal | Mapping[str, Pose]
+        checked: Goal | TipTargets
         if isinstance(given, Mapping):
             unknown = [tip for tip in given if tip not in robot.tips]
             if unknown:
                 raise StateError(f'news has targets for {known(unknown)}; the tips of '
                                  f"'{robot.name}' are {known(robot.tips)}")
-            checked = {tip: checked_pose(pose) for tip, pose in given.items()}
+            checked = {tip: checked_pose(pose) for tip, pose in given.items()
+                       if pose is not None}
         else:
             checked = checked_goal(given, robot)
         if (Poses if isinstance(checked, Mapping) else type(checked)) is not type(target):

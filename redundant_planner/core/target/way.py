@@ -165,18 +165,21 @@ class Way:
         poses = []
         for t, (line, pose) in enumerate(zip(self._lines, targets.each)):
             tip = self._robot.tips[t]
-            own = [Sighting(seen.target[tip], seen.age) for seen in news
-                   if isinstance(seen.target, Mapping) and tip in seen.target]
+            own = [Sighting(at, seen.age) for seen in news if isinstance(seen.target, Mapping)
+                   for at in (seen.target.get(tip),) if at is not None]
             if not news and not (isinstance(known, Poses)
                                  and np.array_equal(known.position[t], pose.position)
                                  and np.array_equal(known.rotation[t], pose.rotation)):
                 own = [Sighting(pose)]
             poses.append(line.sense(pose, own, start))
         self._stream.reset()
-        straight = (self._straight and not free) or any(
+        coupled = self._coupling is not None
+        parts = start.command.reshape(-1, 6)
+        by_twists = [not coupled and bool(part.any()) for part in parts]
+        straight = (self._straight and not free) or any(by_twists) or any(
             line.follows_stream for line in self._lines)
         joints: JointMotion | None = None
-        if straight or self._coupling is not None:
+        if straight or coupled:
             self._free.reset()
         else:
             joints = self._free.motion(
@@ -189,7 +192,11 @@ class Way:
         twists = np.zeros(6 * len(self._robot.tips))
         for t, (line, pose) in enumerate(zip(self._lines, poses)):
             own_part = slice(6 * t, 6 * t + 6)
-            twists[own_part], _ = line.command(start, pose, followed[own_part], delay)
+            if by_twists[t]:
+                line.begin()
+                twists[own_part] = start.command[own_part]
+            else:
+                twists[own_part], _ = line.command(start, pose, followed[own_part], delay)
         return Aim(twists, None, None)
 
     def _by(self, joints: JointMotion, start: Start) -> Aim:
