@@ -17,6 +17,10 @@ Array = npt.NDArray[np.float64]
 _ERROR = 2
 # Kinds of errors that are told apart.
 _MOST_KINDS = 20
+# Times at which the planner said something else than before.
+_MOST_WORDS = 100_000
+# How far apart in time a word of the planner's and what it explains may be [s].
+_WORD = 0.3
 # Ages and distances that one error says differently each time.
 _NUMBER = re.compile(r'\d+(\.\d+)?')
 
@@ -29,17 +33,22 @@ class PlannerReports:
         factors: time and k of Eq. 2 of every status.
         medians, longest: of the ticks since the status before [s].
         errors: kind of an error → when it was first and last reported [s], and its sentence.
+        words: what the planner says of its target and of itself, from when on [s]; empty for
+            nothing to complain of.
     """
 
     factors: list[tuple[float, float]] = field(default_factory=list)
     medians: list[float] = field(default_factory=list)
     longest: list[float] = field(default_factory=list)
     errors: dict[str, tuple[float, float, str]] = field(default_factory=dict)
+    words: list[tuple[float, str]] = field(default_factory=list)
 
     def add(self, event: Event) -> None:
         """Take in a DiagnosticArray; entries that are no numbers are left out."""
         for status in event.message.status:
             self._note_error(status, event.arrival)
+            if status.name.endswith(': planner'):
+                self._note_word(event.arrival, status.message if status.level else '')
             for entry in status.values:
                 number = _number(entry)
                 if number is None:
@@ -50,6 +59,31 @@ class PlannerReports:
                     self.medians.append(1e-6 * number)
                 elif entry.key == 'tick time, longest [us]':
                     self.longest.append(1e-6 * number)
+
+    def add_target(self, event: Event) -> bool:
+        """Take in a DiagnosticArray of `~/target`; return whether there is a target."""
+        there = False
+        for status in event.message.status:
+            values = {entry.key: entry.value for entry in status.values}
+            if 'limited by' in values:
+                there = True
+                self._note_word(event.arrival, values['limited by'])
+        return there
+
+    def _note_word(self, time: float, word: str) -> None:
+        if (self.words[-1][1] if self.words else '') != word and len(self.words) < _MOST_WORDS:
+            self.words.append((time, word))
+
+    def word_at(self, time: float, within: float = _WORD) -> str:
+        """Return what the planner complained of at about a time [s], empty for nothing."""
+        found = ''
+        for begin, word in self.words:
+            if begin > time + within:
+                break
+            # What ended just before counts too: the arm lags behind what is decided.
+            if word or begin <= time - within:
+                found = word
+        return found
 
     def _note_error(self, status: Any, time: float) -> None:
         """Remember an error of the planner's; others publish on this topic, too."""
