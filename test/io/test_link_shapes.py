@@ -114,6 +114,8 @@ def test_a_round_finger_that_turns_is_covered_between_the_looks_too():
         '<joint name="knuckle" type="revolute"><parent link="link3"/><child link="finger"/>'
         '<axis xyz="0 0 1"/><limit lower="-1.5" upper="1.5" velocity="1" effort="1"/></joint>'))
     robot = Robot(text, 'tip', capsules=[], axes=('vx', 'vy'))
+    _, bulge = openings_of(robot, {}).points_of('link3', 'finger', np.array([[0.3, 0.0, 0.0]]))
+    assert bulge == pytest.approx(0.3 * (1.0 - np.cos(0.5 * 3.0 / 16)), rel=1e-6)
     (fit,) = fitted_capsules(robot, None, cache=False)
     base = fit.capsules[0].frame
     ball = np.random.default_rng(0).normal(size=(300, 3))
