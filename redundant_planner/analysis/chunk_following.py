@@ -25,7 +25,10 @@ _AFTER = 10.0
 _ARRIVED = 0.01
 # How far back on its way the arm may seem to be, as measurements are noisy [s].
 _BACK = 0.05
-# Places on a curve that rests, or nearly so, are one: the latest counts [m, rad].
+# How far ahead it may seem to be: a chunk without a stamp begins when the planner hears it, and
+# the recorder may hear it later [s].
+_AHEAD = 0.05
+# Places on a curve that rests, or nearly so, are one: that which is due counts [m, rad].
 _SAME = 1e-4
 # How long before its beginning a chunk may come, see docs/targets.md [s].
 _ANNOUNCED = 60.0
@@ -39,10 +42,11 @@ class ChunkRun:
         of_joints: whether they are of the joints, rather than of the tip.
         chunks: how many.
         begin, end: from when on they commanded the arm, and until when [s].
-        lag_median, lag_longest: how far the arm was behind their time, and when that was
-            longest [s].
+        lag_median, lag_longest, lag_at: how far the arm was behind their time, and when that was
+            longest; negative where it was ahead of when the recorder heard them [s].
         off: the largest distance from their curve, wherever on it the arm should have been: of a
-            joint [rad, m] or of the tip [m]; and when [s], and of which joint ('' for the tip).
+            joint [rad, m] or of the tip [m].
+        off_at, joint: when that was [s], and of which joint; '' for the tip.
         turned: the largest angle of the tip from their curve [rad]; 0 for joints.
         ended: what ended them, empty if nothing did.
     """
@@ -193,7 +197,7 @@ def _followed(
         return None
     times, measured = times[inside], measured[inside]
     end = float(times[-1])
-    grid = np.append(np.arange(begin, end, _GRID), end)
+    grid = np.append(np.arange(begin, end + _AHEAD, _GRID), end + _AHEAD)
     curve = _curve(run.pieces, grid, quaternions=not run.of_joints)
     lag, off, turned, joint = (np.zeros(len(times)) for _ in range(4))
     at = 0
@@ -201,10 +205,11 @@ def _followed(
         if not run.of_joints and here[3:] @ curve[at, 3:] < 0.0:
             here = np.append(here[:3], -here[3:])
         low = int(np.searchsorted(grid, grid[at] - _BACK))
-        high = max(int(np.searchsorted(grid, time, side='right')), low + 1)
+        high = max(int(np.searchsorted(grid, time + _AHEAD, side='right')), low + 1)
         apart = _apart(here, curve[low:high], run.of_joints).max(axis=1)
-        at = low + int(np.flatnonzero(apart <= apart.min() + _SAME)[-1])
-        place, when = _next_to(here, curve, grid, at, float(time))
+        ties = low + np.flatnonzero(apart <= apart.min() + _SAME)
+        at = int(ties[np.abs(grid[ties] - time).argmin()])
+        place, when = _next_to(here, curve, grid, at)
         differences = _apart(here, place[None], run.of_joints)[0]
         lag[i], off[i] = time - when, differences[:-1].max()
         joint[i], turned[i] = differences.argmax(), differences[-1]
@@ -259,21 +264,18 @@ def _apart(here: Array, places: Array, of_joints: bool) -> Array:
     return np.column_stack((away, angle))
 
 
-def _next_to(
-    here: Array, curve: Array, grid: Array, at: int, now: float,
-) -> tuple[Array, float]:
+def _next_to(here: Array, curve: Array, grid: Array, at: int) -> tuple[Array, float]:
     """Return the place on the curve next to a grid point that is nearest, and its time [s]."""
     best, when = curve[at], float(grid[at])
     least = float(((here - best) ** 2).sum())
     for i in (at - 1, at):
-        if not 0 <= i < len(grid) - 1 or grid[i] >= now:
+        if not 0 <= i < len(grid) - 1:
             continue
-        step, length = curve[i + 1] - curve[i], float(grid[i + 1] - grid[i])
+        step = curve[i + 1] - curve[i]
         squared = float(step @ step)
-        share = float((here - curve[i]) @ step) / squared if squared > 0.0 else 1.0
-        share = min(max(share, 0.0), (now - grid[i]) / length, 1.0)
+        share = min(max(float((here - curve[i]) @ step) / max(squared, 1e-30), 0.0), 1.0)
         place = curve[i] + share * step
         away = float(((here - place) ** 2).sum())
         if away < least:
-            least, best, when = away, place, float(grid[i] + share * length)
+            least, best, when = away, place, float(grid[i] + share * (grid[i + 1] - grid[i]))
     return best, when
