@@ -12,6 +12,8 @@ import numpy.typing as npt
 from redundant_planner.core.errors import StateError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
+from redundant_planner.core.target.chunk import Chunk
+from redundant_planner.core.target.goal import checked_target
 from redundant_planner.io.bag_reader import Event
 from redundant_planner.io.chunk_reader import read_path, read_trajectory, ReadChunk
 
@@ -146,6 +148,8 @@ class ChunkLog:
             # A quaternion and its negative are one rotation: neighbours of one sign.
             signs = np.sign((points[1:, 3:] * points[:-1, 3:]).sum(axis=1))
             points[1:, 3:] *= np.cumprod(np.where(signs < 0.0, -1.0, 1.0))[:, None]
+        # As the planner checks it.
+        checked_target(Chunk(read.times, read.points, read.velocities), robot)
         begin = self._begin_of(read, event.arrival)
         self._take(of_joints, _Piece(max(begin, event.arrival), begin + read.times, points,
                                      read.velocities))

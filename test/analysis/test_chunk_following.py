@@ -144,6 +144,8 @@ def test_chunks_that_the_planner_refuses_are_left_out(tmp_path, robot):
     over = trajectory(robot, 0.0, 1.0)
     unknown = trajectory(robot, 2.0, 3.0)
     unknown.joint_names[0] = 'elbow'
+    backward = trajectory(robot, 2.0, 3.0)
+    backward.points[3], backward.points[7] = backward.points[7], backward.points[3]
     elsewhere = path(robot, 2.0, 3.0)
     elsewhere.header.frame_id = 'table'
     with BagWriter(folder) as bag:
@@ -153,11 +155,12 @@ def test_chunks_that_the_planner_refuses_are_left_out(tmp_path, robot):
         for i in range(300):
             bag.write_joints('/joint_states', ns(DT * i), robot.joint_names, REST, np.zeros(7))
             if i == 200:
-                for message in (over, unknown):
+                for message in (over, unknown, backward):
                     bag.write('/target_trajectory', ns(DT * i), serialize_message(message))
                 bag.write('/target_path', ns(DT * i), serialize_message(elsewhere))
     found = analyse(folder, urdf=str(PANDA_URDF), tip=TIP)
     assert found.chunks == () and motion_measures(found)['chunk_lag_median_ms'] is None
     notes = ' '.join(found.notes)
-    for part in ('they are over by their stamps', "it names 'elbow'", "in frame 'table'"):
+    for part in ('they are over by their stamps', "it names 'elbow'", 'do not ascend',
+                 "in frame 'table'"):
         assert part in notes, notes
