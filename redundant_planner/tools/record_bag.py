@@ -58,7 +58,7 @@ class Recorder:
         self.counts: dict[str, int] = {}
         self._node, self._writer, self._topics = node, writer, topics
         self._now_ns = loop_clock(node).stamp_ns
-        self._subscriptions: list[Subscription] = []
+        self._own: list[Subscription] = []
 
     def look(self) -> bool:
         """Subscribe to the topics that are there by now; return whether there were new ones.
@@ -84,7 +84,7 @@ class Recorder:
         reliable = all(q.reliability == ReliabilityPolicy.RELIABLE for q in qos)
         latched = all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in qos)
         self.counts[topic] = 0
-        self._subscriptions.append(self._node.create_subscription(
+        self._own.append(self._node.create_subscription(
             _message_class(kind), topic, self._keeper(topic, kind), QoSProfile(
                 depth=_DEPTH,
                 reliability=ReliabilityPolicy.RELIABLE if reliable
@@ -96,7 +96,7 @@ class Recorder:
     def hears_all(self) -> bool:
         """Whether every publisher that is known of is heard."""
         return all(own.get_publisher_count() >= self._node.count_publishers(own.topic_name)
-                   for own in self._subscriptions)
+                   for own in self._own)
 
     def _keeper(self, topic: str, kind: str) -> Callable[[bytes], None]:
         def keep(message: bytes) -> None:
