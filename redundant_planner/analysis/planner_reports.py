@@ -33,22 +33,23 @@ class PlannerReports:
         factors: time and k of Eq. 2 of every status.
         medians, longest: of the ticks since the status before [s].
         errors: kind of an error → when it was first and last reported [s], and its sentence.
-        words: what the planner says of its target and of itself, from when on [s]; empty for
-            nothing to complain of.
+        of_target, of_itself: what the planner complains of, on `~/target` and in `/diagnostics`:
+            from when on [s], and the words, empty for nothing.
     """
 
     factors: list[tuple[float, float]] = field(default_factory=list)
     medians: list[float] = field(default_factory=list)
     longest: list[float] = field(default_factory=list)
     errors: dict[str, tuple[float, float, str]] = field(default_factory=dict)
-    words: list[tuple[float, str]] = field(default_factory=list)
+    of_target: list[tuple[float, str]] = field(default_factory=list)
+    of_itself: list[tuple[float, str]] = field(default_factory=list)
 
     def add(self, event: Event) -> None:
         """Take in a DiagnosticArray; entries that are no numbers are left out."""
         for status in event.message.status:
             self._note_error(status, event.arrival)
             if status.name.endswith(': planner'):
-                self._note_word(event.arrival, status.message if status.level else '')
+                _note(self.of_itself, event.arrival, status.message if status.level else '')
             for entry in status.values:
                 number = _number(entry)
                 if number is None:
@@ -67,23 +68,12 @@ class PlannerReports:
             values = {entry.key: entry.value for entry in status.values}
             if 'limited by' in values:
                 there = True
-                self._note_word(event.arrival, values['limited by'])
+                _note(self.of_target, event.arrival, values['limited by'])
         return there
 
-    def _note_word(self, time: float, word: str) -> None:
-        if (self.words[-1][1] if self.words else '') != word and len(self.words) < _MOST_WORDS:
-            self.words.append((time, word))
-
-    def word_at(self, time: float, within: float = _WORD) -> str:
+    def word_at(self, time: float) -> str:
         """Return what the planner complained of at about a time [s], empty for nothing."""
-        found = ''
-        for begin, word in self.words:
-            if begin > time + within:
-                break
-            # What ended just before counts too: the arm lags behind what is decided.
-            if word or begin <= time - within:
-                found = word
-        return found
+        return _word_at(self.of_target, time) or _word_at(self.of_itself, time)
 
     def _note_error(self, status: Any, time: float) -> None:
         """Remember an error of the planner's; others publish on this topic, too."""
@@ -114,6 +104,24 @@ class PlannerReports:
     def tick_longest(self) -> float | None:
         """The longest tick [s], None if none was reported."""
         return max(self.longest, default=None)
+
+
+def _note(words: list[tuple[float, str]], time: float, word: str) -> None:
+    """Note what is said at a time [s], if it is something else than before."""
+    if (words[-1][1] if words else '') != word and len(words) < _MOST_WORDS:
+        words.append((time, word))
+
+
+def _word_at(words: list[tuple[float, str]], time: float) -> str:
+    """Return what was complained of at about a time [s], the latest of it."""
+    found = ''
+    for begin, word in words:
+        if begin > time + _WORD:
+            break
+        # What ended just before counts too: the arm lags behind what is decided.
+        if word or begin <= time - _WORD:
+            found = word
+    return found
 
 
 def _number(entry: Any) -> float | None:

@@ -16,6 +16,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from redundant_planner import Robot
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.measure_tables import motion_measures
+from redundant_planner.analysis.planner_reports import PlannerReports
 from redundant_planner.analysis.report import page_of
 from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.io.bag_writer import BagWriter
@@ -164,3 +165,15 @@ def test_chunks_that_the_planner_refuses_are_left_out(tmp_path, robot):
     for part in ('they are over by their stamps', "it names 'elbow'", 'do not ascend',
                  "in frame 'table'"):
         assert part in notes, notes
+
+
+@pytest.mark.parametrize(('words', 'time', 'said_then'), [
+    ([], 1.0, ''), ([(1.0, 'a wall')], 0.9, 'a wall'), ([(1.0, 'a wall')], 0.5, ''),
+    ([(1.0, 'a wall'), (2.0, '')], 2.2, 'a wall'), ([(1.0, 'a wall'), (2.0, '')], 2.5, ''),
+    ([(1.0, 'a wall'), (2.0, 'a ball')], 2.1, 'a ball')])
+def test_the_word_is_that_of_about_the_time(words, time, said_then):
+    """It is said 20 times a second, and the arm lags behind what is decided."""
+    assert PlannerReports(of_target=words).word_at(time) == said_then
+    assert PlannerReports(of_itself=words).word_at(time) == said_then
+    assert PlannerReports(of_target=[(0.0, 'its target')], of_itself=words).word_at(
+        time) == 'its target'
