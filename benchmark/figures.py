@@ -25,6 +25,7 @@ from benchmark.figure_questions import Figure, LESS, Question, QUESTIONS
 from benchmark.peers import missing, PEERS
 from benchmark.speed import versions
 from redundant_planner import __version__
+from redundant_planner.io.resources import panda_urdf
 
 TOP = Path(__file__).resolve().parent.parent
 PAGE = TOP / 'docs' / 'figures.md'
@@ -222,6 +223,10 @@ def main(args: list[str] | None = None) -> int:
     if options.run is None and options.read is None:
         parser.error('give --run, --read or both')
     console, failed = Console(stderr=True), 0
+    if options.run is not None and panda_urdf() is None:
+        # The processes of a benchmark that has none would be started again and again.
+        print('benchmark.figures: no Panda URDF: pip install example-robot-data', file=sys.stderr)
+        return 2
     if options.run is not None:
         failed = run(options.run, [question for question in QUESTIONS
                                    if question.name in options.only or not options.only],

@@ -118,3 +118,10 @@ def test_a_run_leaves_what_it_found_and_says_what_failed(tmp_path, monkeypatch):
     page = (tmp_path / 'page.md').read_text()
     assert 'It failed: no Panda URDF.' in page and 'quick run' in page
     assert not (tmp_path / 'chunks.json').exists()
+
+
+def test_without_a_panda_nothing_is_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(figures, 'panda_urdf', lambda: None)
+    monkeypatch.setattr(figures.subprocess, 'run', None)
+    assert main(['--run', str(tmp_path / 'out')]) == 2
+    assert 'no Panda URDF' in capsys.readouterr().err and not (tmp_path / 'out').exists()
