@@ -215,7 +215,7 @@ class ControlledLoop:
     def error(self) -> str:
         """What /diagnostics says as an error; empty if it says none."""
         status = status_of('planner', self.robot, self.loop.state, self.loop.supervisor.posture,
-                           self.loop.planner.parameters.method, 0, ())
+                           self.loop.planner.parameters.method, 0.0, 0, ())
         return str(status.message) if status.level == status.ERROR else ''
 
     def commands(self, since: float = -np.inf) -> Commands:

@@ -52,9 +52,11 @@ from redundant_planner.nodes.ros_parameters import PlannerNodeParameters
 from redundant_planner.simulation import simulate
 from redundant_planner.tools.analyze_bag import (
     as_json,
+    chunk_table,
     joint_table,
     main as analyze_bag,
     motion_table,
+    peak_table,
 )
 from redundant_planner.tools.replay_bag import (
     again,
@@ -242,7 +244,7 @@ class _Scripts(HTMLParser):
 
 def _shown(found: Analysis) -> None:
     console = Console(markup=False, emoji=False, file=io.StringIO(), width=200)
-    console.print(joint_table(found))
+    console.print(joint_table(found), peak_table(found), chunk_table(found))
     console.print(motion_table([found, found]))
     json.dumps(as_json(found))
     reductions(found, found)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.bounded_series import HeldTwists, KeptScenes, ThinnedRows
+from redundant_planner.analysis.chunk_following import ChunkLog, ChunkRun, places_of
 from redundant_planner.analysis.commanded import Commands
 from redundant_planner.analysis.joint_measures import JointSums
 from redundant_planner.analysis.path_errors import path_errors
@@ -18,7 +19,7 @@ from redundant_planner.analysis.results import Analysis, Curves
 from redundant_planner.analysis.robot_of_bag import robot_of_bag, RobotOfBag
 from redundant_planner.analysis.run_facts import run_facts
 from redundant_planner.analysis.smallest_clearance import SmallestClearance
-from redundant_planner.core.errors import ObstacleError
+from redundant_planner.core.errors import ObstacleError, StateError
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.bag_reader import Bag, Event, open_bag
@@ -42,7 +43,10 @@ Array = npt.NDArray[np.float64]
 
 # A command slower than this share of the fastest one: a share of it says nothing.
 _SLOW = 0.01
-_TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'attached', 'diagnostics')
+_CHUNKS = ('target_path', 'target_trajectory')
+_TARGETS = ('target_pose', 'target_joints', *_CHUNKS)
+_TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'attached', 'diagnostics', 'target',
+           *_TARGETS)
 
 
 def analyse(
@@ -131,6 +135,9 @@ class _Motion:
         self._commands: Commands | None = None
         self._periods: list[npt.NDArray[np.float32]] = []
         self._last_stamp: float | None = None
+        self._chunks = ChunkLog(robot, bag.origin_ns * 1e-9) if robot is not None else None
+        self._posture: Array | None = None
+        self._targets: list[float] = []  # when each came [s]
 
     def read(
         self, begin: float, end: float, progress: Callable[[float], None] | None,
@@ -142,7 +149,7 @@ class _Motion:
             JointsMissingError: they are of another robot.
         """
         for item in self._bag.read((*_TOPICS, *self._topics), begin, end, progress,
-                                   order=(*self._topics, 'attached')):
+                                   order=(*self._topics, 'attached', *_CHUNKS)):
             if isinstance(item, Event):
                 self._take_event(item)
                 continue
@@ -166,6 +173,12 @@ class _Motion:
             twist = sound_twist(event, self._bag.left_out)
             if twist is not None:
                 self._twists.add(event.arrival, twist)
+                self._end_chunks(event.arrival, 'cmd_vel')
+        elif event.topic in _TARGETS:
+            self._take_target(event)
+        elif event.topic == 'target':
+            if not self._reports.add_target(event):
+                self._end_chunks(event.arrival, 'the planner')
         elif event.topic in self._topics:
             self._tracker.update(
                 event.raw, event.arrival, self._topics.index(event.topic))
@@ -176,6 +189,21 @@ class _Motion:
                 self._payload.tracker.update(event.raw, event.arrival)
         else:
             self._reports.add(event)
+
+    def _take_target(self, event: Event) -> None:
+        self._targets.append(event.arrival)
+        self._twists.end(event.arrival)
+        if event.topic not in _CHUNKS:
+            self._end_chunks(event.arrival, event.topic)
+        elif self._chunks is not None:
+            try:
+                self._chunks.add(event, self._posture)
+            except StateError as error:
+                self._bag.left_out.add(event.topic, str(error))
+
+    def _end_chunks(self, time: float, what: str) -> None:
+        if self._chunks is not None:
+            self._chunks.end(time, what)
 
     def _take_stamps(self, stamps: Array) -> None:
         if self._last_stamp is not None:
@@ -190,7 +218,7 @@ class _Motion:
             return None
         if self._commands is None:
             self._commands = Commands(len(chosen.names), self._period)
-        self._commands.add(chosen.stamps, chosen.velocities)
+        self._commands.add(chosen.stamps, chosen.positions, chosen.velocities)
         return chosen
 
     def _take_things(self, now: float) -> None:
@@ -205,6 +233,7 @@ class _Motion:
             n = len(self._joints.names)
             self._sums, self._rows = JointSums(n), ThinnedRows(3 * n + 2)
         q = chosen.positions
+        self._posture = q[-1] if len(q) else self._posture
         distance = (self._clearance.of(q, self._tracker.scene, self._sums.samples)
                     if self._clearance is not None else np.full(len(q), np.inf))
         dq, ddq = self._sums.add(chosen.stamps, q, chosen.velocities)
@@ -243,21 +272,27 @@ class _Motion:
                 f'{sums.longest_gap:.6g} s; how fast the arm was meanwhile is not known')
         notes += self._reports.notes
         notes += self._bag.problems
+        if commands is not None and self._period is None:
+            notes.append('no rate of the planner: accelerations and jerks of the commands count '
+                         "from the median of their stamps' differences")
+        curves, chunks = _curves(
+            self._robot, self._rows.rows(), self._twists, self._scenes.kept, commands,
+            np.sort(self._targets), self._chunks)
         intervals = np.concatenate(self._periods) if self._periods else np.empty(0, np.float32)
         return Analysis(
             name=printable(self._bag.path.absolute().name), robot=self._robot,
             joint_names=self._joints.names, samples=sums.samples,
             begin=sums.begin_time, end=sums.end_time, joints=sums.measures(),
             commanded=commands.peaks if commands is not None else None,
-            curves=_curves(
-                self._robot, self._rows.rows(), self._twists, self._scenes.kept, commands),
+            curves=curves,
             clearance=clearance.smallest if clearance is not None else None,
             distance=clearance.distance if clearance is not None else np.inf,
             periods=_periods(intervals), factor=self._reports.factor,
             notes=tuple(dict.fromkeys(printable(note) for note in notes)),
             facts=run_facts(
                 self._found.values, self._found.software, self._bag.origin_ns,
-                self._reports.tick_median, self._reports.tick_longest))
+                self._reports.tick_median, self._reports.tick_longest),
+            chunks=tuple((run, printable(self._reports.word_at(run.off_at))) for run in chunks))
 
 
 def _periods(intervals: npt.NDArray[np.float32]) -> metrics.Periods | None:
@@ -269,12 +304,13 @@ def _periods(intervals: npt.NDArray[np.float32]) -> metrics.Periods | None:
 
 def _curves(
     robot: Robot | None, rows: Array, commanded: HeldTwists, scenes: list[tuple[float, Scene]],
-    commands: Commands | None,
-) -> Curves:
+    commands: Commands | None, targets: Array, log: ChunkLog | None,
+) -> tuple[Curves, tuple[ChunkRun, ...]]:
     n = (rows.shape[1] - 2) // 3
     times, q, dq, ddq = rows[:, 0], rows[:, 1:1 + n], rows[:, 1 + n:1 + 2 * n], rows[:, -1 - n:-1]
     scale: Array = np.full(len(rows), np.nan)
     error: Array = np.full(len(rows), np.nan)
+    chunks: tuple[ChunkRun, ...] = ()
     tips: Array = np.full((len(rows), 3), np.nan)
     if robot is not None:
         twists = commanded.at(times)
@@ -285,6 +321,9 @@ def _curves(
         followed = ((arms.jacobian @ dq[:, :, None])[:, :, 0] * task).sum(axis=1)
         commanded_to_move = size > _SLOW ** 2 * size.max(initial=0.0)
         scale[commanded_to_move] = followed[commanded_to_move] / size[commanded_to_move]
-        error = path_errors(robot, times, twists, tips, arms.tip_rotations)
+        error = path_errors(robot, times, twists, tips, arms.tip_rotations, targets)
+        if log is not None:
+            chunks = log.runs(times, q, places_of(robot, tips, arms.tip_rotations))
     told = commands.at(times) if commands is not None else None
-    return Curves(times, q, dq, ddq, told, rows[:, -1], scale, tips, error, tuple(scenes))
+    return Curves(
+        times, q, dq, ddq, told, rows[:, -1], scale, tips, error, tuple(scenes)), chunks

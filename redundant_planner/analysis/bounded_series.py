@@ -84,6 +84,11 @@ class HeldTwists:
                 return
         rows.extend((time, time + self._timeout, *twist.tolist()))
 
+    def end(self, time: float) -> None:
+        """Have the latest twist hold no longer than until a time [s]."""
+        if self._rows:
+            self._rows[-7] = min(self._rows[-7], time)
+
     def at(self, times: Array) -> Array:
         """Return the twists (k, 6) at times (k,); zero where none held."""
         if not self._rows:

@@ -12,6 +12,9 @@ from redundant_planner.io.joint_chunk import GAP
 
 Array = npt.NDArray[np.float64]
 
+# Commands slower than this are none whose positions tell periods [rad/s, m/s].
+_SLOW = 1e-3
+
 
 @dataclass(frozen=True)
 class CommandPeaks:
@@ -26,8 +29,8 @@ class Commands:
     """Velocity commands of n joints, taken in chunk by chunk.
 
     A command holds until the next one. The planner limits what changes from one to the next by its
-    period. So two commands closer together than that count as a period apart: the node was late
-    with the first of them.
+    period, however late a busy machine has it send one or the other. So two successive commands
+    are one period apart, unless others between them were lost.
     """
 
     def __init__(self, n: int, period: float | None) -> None:
@@ -39,30 +42,32 @@ class Commands:
         """
         self._period = period
         self._rows = ThinnedRows(2 * n + 2)
-        self._last: tuple[float, Array] | None = None
+        self._last: tuple[float, Array, Array] | None = None
         self._acceleration: Array = np.full(n, np.nan)
         self._peaks = np.zeros((3, n))
         self.count = 0
 
-    def add(self, stamps: Array, dq: Array) -> None:
-        """Take in commands (k, n) and their stamps (k,) [s].
+    def add(self, stamps: Array, q: Array, dq: Array) -> None:
+        """Take in commands: stamps (k,) [s], positions and velocities (k, n) [rad, m; per s].
 
         Those without velocities, and those of before the last one, are left out.
         """
         known = np.isfinite(dq).all(axis=1)
-        stamps, dq = stamps[known], dq[known]
+        stamps, q, dq = stamps[known], q[known], dq[known]
         if self._last is not None:
-            stamps, dq = np.append(self._last[0], stamps), np.vstack((self._last[1], dq))
+            stamps = np.append(self._last[0], stamps)
+            q, dq = np.vstack((self._last[1], q)), np.vstack((self._last[2], dq))
         ahead = np.ones(len(stamps), bool)
         ahead[1:] = stamps[1:] > np.maximum.accumulate(stamps)[:-1]
-        stamps, dq = stamps[ahead], dq[ahead]
+        stamps, q, dq = stamps[ahead], q[ahead], dq[ahead]
         fresh = slice(0 if self._last is None else 1, None)
         if not len(stamps[fresh]):
             return
         steps = np.diff(stamps)
         period = self._period or (float(np.median(steps)) if len(steps) else 0.0)
         # Of a pause nobody knows how fast the arm was.
-        elapsed = np.where(steps <= GAP, np.maximum(steps, period), np.nan)[:, None]
+        elapsed = np.where(steps <= GAP, period * _periods_between(steps, q, dq, period), np.nan)
+        elapsed = elapsed[:, None]
         with np.errstate(divide='ignore', invalid='ignore'):
             acceleration = np.diff(dq, axis=0) / elapsed
             before = np.vstack((self._acceleration, acceleration[:-1]))
@@ -74,7 +79,7 @@ class Commands:
             acceleration = np.vstack((self._acceleration, acceleration))
         taken = stamps[fresh], dq[fresh]
         self._rows.add(np.column_stack((*taken, acceleration, np.zeros(len(taken[0])))))
-        self._last, self._acceleration = (float(stamps[-1]), dq[-1]), acceleration[-1]
+        self._last, self._acceleration = (float(stamps[-1]), q[-1], dq[-1]), acceleration[-1]
         self.count += len(taken[0])
 
     @property
@@ -94,3 +99,24 @@ class Commands:
         holds = (index >= 0) & (times - rows[index, 0] <= max(reach, 1e-9))
         held = np.where(holds[:, None], rows[index], np.nan)
         return held[:, 1:1 + n], held[:, 1 + n:-1]
+
+
+def _periods_between(steps: Array, q: Array, dq: Array, period: float) -> Array:
+    """Return how many periods each command (k,) is after the one before: 1, or more if some lack.
+
+    The stamps alone cannot tell a late command from one after others that were lost. Positions
+    can: they have gone on by so many periods' motion. Of an arm that hardly moves, and of one
+    without positions, no command counts as lost.
+
+    Args:
+        steps: between the stamps [s].
+        q, dq: (k + 1, n) commanded positions and velocities.
+        period: [s].
+    """
+    mean = 0.5 * (dq[1:] + dq[:-1])
+    squared = period * (mean * mean).sum(axis=1)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        gone = (np.diff(q, axis=0) * mean).sum(axis=1) / squared
+        late = np.rint(steps / period)
+    gone = np.where((squared > period * _SLOW ** 2) & np.isfinite(gone), np.rint(gone), 1.0)
+    return np.asarray(np.clip(np.minimum(gone, late), 1.0, None))

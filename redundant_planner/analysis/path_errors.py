@@ -18,24 +18,29 @@ _BEHIND, _AHEAD = 20, 400
 
 
 def path_errors(
-    robot: Robot, times: Array, twists: Array, tips: Array, rotations: Array,
+    robot: Robot, times: Array, twists: Array, tips: Array, rotations: Array, ends: Array,
 ) -> Array:
     """Return the distance (k,) of the tip from the path it was commanded along [m].
 
     A path begins where the tip is when a command begins, and leads where the twists do, each
     held until the next sample. How fast the tip goes along it does not count. NaN before
-    the first command.
+    the first command, and from a target on: nothing says where the tip shall be on its way.
 
     Args:
         robot: the arm.
         times: (k,) [s].
         twists: (k, 6) in the command frame.
         tips, rotations: (k, 3) and (k, 3, 3) of the tip.
+        ends: when targets came [s], ascending.
     """
     moving = np.asarray(twists.any(axis=1))
     errors = np.full(len(times), np.nan)
-    begins = np.flatnonzero(moving & ~np.concatenate(((False,), moving[:-1])))
-    for begin, after in zip(begins, (*begins[1:], len(times))):
+    fresh = np.zeros(len(times) + 1, bool)
+    fresh[np.searchsorted(times, ends)] = True
+    begins = np.flatnonzero(moving & (~np.append(False, moving[:-1]) | fresh[:-1]))
+    stops = np.append(np.union1d(begins, np.flatnonzero(fresh)), len(times))
+    for begin in begins:
+        after = int(stops[np.searchsorted(stops, begin, side='right')])
         pose = Pose(tips[begin], rotations[begin])
         points = [pose.position]
         for i in range(begin, after - 1):

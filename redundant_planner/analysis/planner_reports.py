@@ -17,6 +17,10 @@ Array = npt.NDArray[np.float64]
 _ERROR = 2
 # Kinds of errors that are told apart.
 _MOST_KINDS = 20
+# Times at which the planner said something else than before.
+_MOST_WORDS = 100_000
+# How far apart in time a word of the planner's and what it explains may be [s].
+_WORD = 0.3
 # Ages and distances that one error says differently each time.
 _NUMBER = re.compile(r'\d+(\.\d+)?')
 
@@ -29,17 +33,23 @@ class PlannerReports:
         factors: time and k of Eq. 2 of every status.
         medians, longest: of the ticks since the status before [s].
         errors: kind of an error → when it was first and last reported [s], and its sentence.
+        of_target, of_itself: what the planner complains of, on `~/target` and in `/diagnostics`:
+            from when on [s], and the words, empty for nothing.
     """
 
     factors: list[tuple[float, float]] = field(default_factory=list)
     medians: list[float] = field(default_factory=list)
     longest: list[float] = field(default_factory=list)
     errors: dict[str, tuple[float, float, str]] = field(default_factory=dict)
+    of_target: list[tuple[float, str]] = field(default_factory=list)
+    of_itself: list[tuple[float, str]] = field(default_factory=list)
 
     def add(self, event: Event) -> None:
         """Take in a DiagnosticArray; entries that are no numbers are left out."""
         for status in event.message.status:
             self._note_error(status, event.arrival)
+            if status.name.endswith(': planner'):
+                _note(self.of_itself, event.arrival, status.message if status.level else '')
             for entry in status.values:
                 number = _number(entry)
                 if number is None:
@@ -50,6 +60,20 @@ class PlannerReports:
                     self.medians.append(1e-6 * number)
                 elif entry.key == 'tick time, longest [us]':
                     self.longest.append(1e-6 * number)
+
+    def add_target(self, event: Event) -> bool:
+        """Take in a DiagnosticArray of `~/target`; return whether there is a target."""
+        there = False
+        for status in event.message.status:
+            values = {entry.key: entry.value for entry in status.values}
+            if 'limited by' in values:
+                there = True
+                _note(self.of_target, event.arrival, values['limited by'])
+        return there
+
+    def word_at(self, time: float) -> str:
+        """Return what the planner complained of at about a time [s], empty for nothing."""
+        return _word_at(self.of_target, time) or _word_at(self.of_itself, time)
 
     def _note_error(self, status: Any, time: float) -> None:
         """Remember an error of the planner's; others publish on this topic, too."""
@@ -80,6 +104,24 @@ class PlannerReports:
     def tick_longest(self) -> float | None:
         """The longest tick [s], None if none was reported."""
         return max(self.longest, default=None)
+
+
+def _note(words: list[tuple[float, str]], time: float, word: str) -> None:
+    """Note what is said at a time [s], if it is something else than before."""
+    if (words[-1][1] if words else '') != word and len(words) < _MOST_WORDS:
+        words.append((time, word))
+
+
+def _word_at(words: list[tuple[float, str]], time: float) -> str:
+    """Return what was complained of at about a time [s], the latest of it."""
+    found = ''
+    for begin, word in words:
+        if begin > time + _WORD:
+            break
+        # What ended just before counts too: the arm lags behind what is decided.
+        if word or begin <= time - _WORD:
+            found = word
+    return found
 
 
 def _number(entry: Any) -> float | None:

@@ -15,6 +15,7 @@ from redundant_planner.analysis.motion_interval import shown_together
 from redundant_planner.analysis.report_data import MOST_JOINTS, page_data
 from redundant_planner.analysis.report_figures import write_figures
 from redundant_planner.analysis.report_tables import (
+    chunks_html,
     comparison_html,
     facts_html,
     joint_columns,
@@ -144,6 +145,8 @@ def _table_section(analyses: Sequence[Analysis]) -> str:
         bag = f': {_bag_title(i, analysis.name)}' if len(analyses) > 1 else ''
         tables += (f'<h2>Joints{bag}</h2>{joints_html(analysis, joint_columns(analysis))}'
                    f'<h3>Peaks</h3>{joints_html(analysis, peak_columns(analysis))}')
+        if analysis.chunks:
+            tables += f'<h2>Chunks{bag}</h2>{chunks_html(analysis)}'
     if len(analyses) > 1:
         tables += f'<h2>Joints, and differences</h2>{comparison_html(analyses)}'
     return tables

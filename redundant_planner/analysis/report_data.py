@@ -74,7 +74,7 @@ def _arm_panels(
                if analysis.facts.margin is not None}
     found = []
     for title, unit, limits, values in (
-            ('Smallest clearance', 'mm',
+            ('Smallest distance', 'mm',
              [_limit(0.0, -1, 'contact'), *(_limit(one, -1, 'margin') for one in margins)],
              [1e3 * analysis.curves.clearance for analysis in analyses]),
             ('Tip off its path', 'mm', [_limit(PATH_ERROR_LIMIT, 1)],

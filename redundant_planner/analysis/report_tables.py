@@ -10,7 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis.joint_units import joint_units, UNKNOWN
-from redundant_planner.analysis.measure_tables import MEASURES, motion_measures, telling
+from redundant_planner.analysis.measure_tables import (
+    chunk_rows,
+    CHUNKS,
+    MEASURES,
+    MOTION,
+    motion_measures,
+    PEAKS,
+    telling,
+    UNITS,
+)
 from redundant_planner.analysis.motion_interval import motion_interval
 from redundant_planner.analysis.report_numbers import difference_text, number_text, share_text
 from redundant_planner.analysis.results import Analysis
@@ -18,28 +27,6 @@ from redundant_planner.analysis.results import Analysis
 Array = npt.NDArray[np.float64]
 
 _NOT_RECORDED = 'not recorded'
-
-
-class Measure(NamedTuple):
-    """A measure of the whole motion: its title, its unit, and how many of it make one."""
-
-    title: str
-    unit: str
-    scale: float = 1.0
-
-
-_MOTION = {
-    'joint_path': Measure('Joint path, all joints', 'rad + m'),
-    'effort': Measure('∫q̇ᵀq̇ dt', 'rad²/s + m²/s'),
-    'tool_path_m': Measure('Path of the tip', 'm'),
-    'largest_path_error_mm': Measure('Tip off its path, at most', 'mm'),
-    'smallest_distance_mm': Measure('Smallest clearance', 'mm'),
-    'smallest_clearance_level': Measure('Smallest level S (Eq. 6)', '–'),
-    'twist_scale_mean': Measure('Commanded twist that was followed, mean', '%', 100.0),
-    'factor_k_mean': Measure('Factor k (Eq. 2), mean', '–'),
-    'command_period_median_ms': Measure('Command period, median', 'ms'),
-    'command_period_p99_ms': Measure('Command period, 99 of 100 within', 'ms'),
-    'command_period_longest_ms': Measure('Command period, longest', 'ms')}
 
 
 class Column(NamedTuple):
@@ -87,10 +74,8 @@ def facts_of(analysis: Analysis) -> dict[str, str]:
 
 def joint_columns(analysis: Analysis) -> list[Column]:
     """Return the columns of the joints' table, without those that tell nothing."""
-    units = {'displacement': 'u', 'path': 'u', 'effort': 'u²/s', 'initial_velocity': 'u/s',
-             'velocity_change': 'u/s', 'acceleration_change': 'u/s²'}
-    return [Column(MEASURES[key], units[key], getattr(analysis.joints, key))
-            for key in telling(analysis.joints) if key in units]
+    return [Column(MEASURES[key], UNITS[key], getattr(analysis.joints, key))
+            for key in telling(analysis.joints)]
 
 
 def peak_columns(analysis: Analysis) -> list[Column]:
@@ -101,10 +86,10 @@ def peak_columns(analysis: Analysis) -> list[Column]:
         # Beside commands it would say more of noise than of the motion.
         columns.append(Column('measured', 'u/s²', joints.peak_acceleration, 'acceleration'))
         return columns
-    for kind, unit in (('velocity', 'u/s'), ('acceleration', 'u/s²'), ('jerk', 'u/s³')):
-        peaks = getattr(told, kind)
+    for kind, limit in PEAKS.items():
+        peaks, unit = getattr(told, kind), UNITS[kind]
         columns.append(Column('commanded', unit, peaks, kind))
-        limits = getattr(robot, f'{kind}_max') if robot is not None else None
+        limits = getattr(robot, limit) if robot is not None else None
         if limits is not None and np.isfinite(limits).any():
             columns += [Column('limit', unit, limits, kind),
                         Column('share', '%', 100.0 * peaks / limits, kind)]
@@ -143,7 +128,7 @@ def motion_html(analyses: Sequence[Analysis]) -> str:
     """Return the measures of whole motions, and the difference of each bag to the first."""
     columns = [motion_measures(analysis) for analysis in analyses]
     rows = ''
-    for key, (title, unit, scale) in _MOTION.items():
+    for key, (title, unit, scale) in MOTION.items():
         values = [None if column[key] is None else scale * column[key] for column in columns]
         if all(value is None for value in values):
             continue
@@ -155,6 +140,15 @@ def motion_html(analyses: Sequence[Analysis]) -> str:
                        for i, column in enumerate(columns)) + '<td></td></tr>')
     return (f'<div class="scroll"><table><thead><tr><th></th>{_compared_head(analyses)}'
             f'<th scope="col">unit</th></tr></thead><tbody>{rows}</tbody></table></div>')
+
+
+def chunks_html(analysis: Analysis) -> str:
+    """Return how the arm followed the chunks that it was sent, a row for each run of them."""
+    head = ''.join(f'<th scope="col">{title}</th>' for title in CHUNKS)
+    body = ''.join('<tr>' + ''.join(f'<td>{escape(cell)}</td>' for cell in row) + '</tr>'
+                   for row in chunk_rows(analysis))
+    return (f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody>'
+            '</table></div>')
 
 
 def comparison_html(analyses: Sequence[Analysis]) -> str:

@@ -60,7 +60,7 @@ def tiles_of(analysis: Analysis) -> list[Tile]:
     robot, period = analysis.robot, facts.period
     inside = ' (inside it)' if (measures['smallest_distance_mm'] or 0.0) < 0.0 else ''
     return [
-        Tile('Smallest clearance', measures['smallest_distance_mm'], 'mm',
+        Tile('Smallest distance', measures['smallest_distance_mm'], 'mm',
              1e3 * facts.margin if facts.margin is not None else 0.0, True,
              (measures['nearest_pair'] or '') + inside),
         Tile('Tip off its path, at most', measures['largest_path_error_mm'], 'mm',

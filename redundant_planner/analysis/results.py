@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
+from redundant_planner.analysis.chunk_following import ChunkRun
 from redundant_planner.analysis.commanded import CommandPeaks
 from redundant_planner.analysis.joint_measures import JointMeasures
 from redundant_planner.analysis.run_facts import RunFacts
@@ -32,7 +33,8 @@ class Curves:
         scale: (k,) share of the commanded twist that the tip followed, NaN without a command
             and while it is below a hundredth of the largest.
         tips: (k, 3) in the base frame [m], NaN without a robot.
-        path_error: (k,) distance of the tip from the commanded path, NaN while there is none [m].
+        path_error: (k,) distance of the tip from the path that twists command, NaN while none do,
+            as on the way to a target [m].
         scenes: times [s] from which on the obstacles stood as given.
     """
 
@@ -67,6 +69,7 @@ class Analysis:
         factor: of `/diagnostics`, (k, 2) time and k; empty if none were recorded.
         notes: what is missing, and what could not be read.
         facts: how the motion came about.
+        chunks: how the arm followed chunks, and what the planner said where it was furthest off.
     """
 
     name: str
@@ -84,6 +87,7 @@ class Analysis:
     factor: Array
     notes: tuple[str, ...]
     facts: RunFacts
+    chunks: tuple[tuple[ChunkRun, str], ...] = ()
 
 
 def scene_at(curves: Curves, time: float) -> Scene:

@@ -32,9 +32,13 @@ _EXPECTED = {
     'target_pose': ('geometry_msgs/msg/PoseStamped',), 'target_joints': (JOINT_STATE,),
     'target_path': ('nav_msgs/msg/Path',),
     'target_trajectory': ('trajectory_msgs/msg/JointTrajectory',),
+    'target': ('diagnostic_msgs/msg/DiagnosticArray',),
     'diagnostics': ('diagnostic_msgs/msg/DiagnosticArray',)}
 # Topics whose messages come in chunks.
 _STREAMS = ('joint_states', 'joint_command')
+# Topics whose messages are read as they stand: another package's decoder refuses the bytes that
+# rclpy leaves after empty lists.
+_AS_BYTES = ('target_path', 'target_trajectory')
 # What `--end` is at most, without an end [s].
 _FOREVER = 5e9
 
@@ -45,7 +49,7 @@ class Event(NamedTuple):
     Attributes:
         topic: without its namespace.
         arrival: when it was recorded [s].
-        message: decoded.
+        message: decoded; None where `raw` is read by this package itself.
         raw: as it stands in the bag.
     """
 
@@ -146,7 +150,7 @@ class Bag:
                     for batch in batches.values():
                         yield from batch.chunk(self.origin_ns)
                 try:
-                    message = _decoded(raw, kind)
+                    message = None if name in _AS_BYTES else _decoded(raw, kind)
                 except Exception as error:  # another package's decoder, on bytes from anywhere
                     self.left_out.add(name, f'they cannot be decoded ({error})')
                     continue

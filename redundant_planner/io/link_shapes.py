@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass
 import hashlib
@@ -24,11 +24,12 @@ from redundant_planner.io.collision_geometry import (
     Piece,
     piece_of,
 )
+from redundant_planner.io.hand_openings import Openings, openings_of
 
 Array = npt.NDArray[np.float64]
 
 # Changes when the fit does, so that older results in the cache are not taken for its own.
-_VERSION = 2
+_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -50,12 +51,16 @@ class Fit:
     ratio: float
 
 
-def fitted_capsules(robot: Robot, folder: Path | None, *, cache: bool = True) -> tuple[Fit, ...]:
-    """Return capsules around every link that the chain's joints move.
+def fitted_capsules(
+    robot: Robot, folder: Path | None, *, held: Mapping[str, float] | None = None,
+    cache: bool = True,
+) -> tuple[Fit, ...]:
+    """Return capsules around every link that the chain's joints move, and a hand at any opening.
 
     Args:
         robot: the arm, its own capsules do not matter.
         folder: of the URDF, for relative mesh paths.
+        held: joint name → where it is locked [rad, m]; fingers that are locked stay there.
         cache: whether a fit of the same URDF and meshes is looked up and kept (`cache_folder`).
 
     Raises:
@@ -63,13 +68,14 @@ def fitted_capsules(robot: Robot, folder: Path | None, *, cache: bool = True) ->
     """
     elements = collision_elements(robot, folder)
     kept = cache_folder() if cache else None
+    openings = openings_of(robot, held or {})
     if kept is None:
-        return tuple(_fit(robot, map(piece_of, elements)))
-    key = _key(robot, elements)
+        return tuple(_fit(robot, map(piece_of, elements), openings))
+    key = _key(robot, elements, openings)
     file = kept / f'capsules-{key[:32]}.txt'
     fits = _read(file, key, elements)
     if fits is None:
-        fits = tuple(_fit(robot, map(piece_of, elements)))
+        fits = tuple(_fit(robot, map(piece_of, elements), openings))
         _write(file, key, fits)
     return fits
 
@@ -97,7 +103,7 @@ def larger_than_the_rest(robot: Robot) -> list[str]:
     return said
 
 
-def _fit(robot: Robot, pieces: Iterable[Piece]) -> Iterable[Fit]:
+def _fit(robot: Robot, pieces: Iterable[Piece], openings: Openings) -> Iterable[Fit]:
     from redundant_planner.core.robot.capsule_fit import convex_hull, fit_body, merged, Shape
 
     by_joint: dict[str, list[Piece]] = {}
@@ -105,18 +111,20 @@ def _fit(robot: Robot, pieces: Iterable[Piece]) -> Iterable[Fit]:
         by_joint.setdefault(piece.joint, []).append(piece)
     for joint in (name for name in robot.joint_names if name in by_joint):
         group = by_joint[joint]
-        base = group[0].link
-        shapes, owners, volume, corners = [], [], 0.0, 0
+        base = _base_of(robot, joint, [piece.link for piece in group], openings)
+        shapes, owners, volume, corners, bulge = [], [], 0.0, 0, 0.0
         for piece in group:
-            # All in the frame of the joint's first link: they are one rigid body.
-            points = robot.in_link(base, piece.link, piece.points)
-            corners += len(points)
-            if piece.radius is not None:
+            # All in the frame of one link: they are one rigid body, but for the hand's openings.
+            points, more = openings.points_of(base, piece.link, piece.points)
+            corners, bulge = corners + len(points), max(bulge, more)
+            if piece.radius is not None and piece.link not in openings.links:
                 shape = Shape(points[0], points[1], piece.radius)
                 shapes.append((shape, np.vstack([_around(end, piece.radius) for end in points])))
                 owners.append(piece.link)
                 volume += shape.volume
                 continue
+            if piece.radius is not None:
+                points = np.vstack([_around(end, piece.radius) for end in points])
             body = convex_hull(points)
             volume += body.volume
             parts = fit_body(body)
@@ -127,13 +135,21 @@ def _fit(robot: Robot, pieces: Iterable[Piece]) -> Iterable[Fit]:
             name = owners[members[0]]
             taken = sum(c.name == name or c.name.startswith(f'{name}_') for c in capsules)
             # Outwards by what is lost when the numbers are written down.
-            radius = shape.radius + 1e-5
+            radius = shape.radius + bulge + 1e-5
             capsules.append(Capsule(f'{name}_{taken + 1}' if taken else name, base,
                                     np.round(shape.start, 5), np.round(shape.end, 5),
                                     float(np.ceil(radius * 1e5) / 1e5)))
         total = sum(Shape(c.start, c.end, c.radius).volume for c in capsules)
         yield Fit(joint, tuple(dict.fromkeys(p.link for p in group)), tuple(capsules), corners,
                   total / volume if volume > 0.0 else np.inf)
+
+
+def _base_of(robot: Robot, joint: str, links: Sequence[str], openings: Openings) -> str:
+    """Return the link whose frame a joint's capsules are in: one that no finger's joint moves."""
+    still = [link for link in links if link not in openings.links]
+    others = (link for link, carrier in robot.moving_links.items()
+              if carrier == joint and link not in openings.links)
+    return still[0] if still else next(others)
 
 
 def _around(center: Array, radius: float) -> Array:
@@ -146,14 +162,16 @@ def _around(center: Array, radius: float) -> Array:
     return center + corners * (radius / inner)
 
 
-def _key(robot: Robot, elements: Sequence[CollisionElement]) -> str:
+def _key(robot: Robot, elements: Sequence[CollisionElement], openings: Openings) -> str:
     """Return what tells one fit from another."""
     digest = hashlib.sha256(f'{_VERSION} {robot.joint_names} {elements}'.encode())
-    first: dict[str, str] = {}
+    links: dict[str, list[str]] = {}
+    for element in elements:
+        links.setdefault(element.joint, []).append(element.link)
     for element in elements:
         # Links on one joint are one body: how they stand to each other matters.
-        base = first.setdefault(element.joint, element.link)
-        digest.update(robot.in_link(base, element.link, np.eye(4, 3)).tobytes())
+        base = _base_of(robot, element.joint, links[element.joint], openings)
+        digest.update(openings.points_of(base, element.link, np.eye(4, 3))[0].tobytes())
         if element.mesh:
             with contextlib.suppress(OSError):  # it is gone: reading it will say so
                 status = os.stat(element.mesh)

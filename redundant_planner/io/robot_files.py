@@ -128,7 +128,8 @@ class Robot(model.Robot):
         if capsules is not None or link_radius is not None:
             return robot_with(capsules)
         return _looked_at(
-            robot_with(_fitted(robot_with([]), file.parent, warnings.warn)), warnings.warn)
+            robot_with(_fitted(robot_with([]), file.parent, locked_positions or {},
+                               warnings.warn)), warnings.warn)
 
     @classmethod
     def from_file(cls, path: str | Path, **changes: Any) -> Robot:
@@ -215,7 +216,7 @@ def build_robot(
         kept = ('once for all starts to come' if cache_folder() is not None else
                 'at every start: there is no cache folder that nobody else can write to')
         say(f"fitting capsules to the URDF's collision geometry, {kept}")
-    return _looked_at(robot_with(_fitted(bare, urdf_folder(p, folder), warn)), warn)
+    return _looked_at(robot_with(_fitted(bare, urdf_folder(p, folder), p.locked, warn)), warn)
 
 
 def _looked_at(arm: Robot, warn: Callable[[str], object] | None) -> Robot:
@@ -246,10 +247,11 @@ def with_more_capsules(
 
 
 def _fitted(
-    bare: model.Robot, folder: Path | None, warn: Callable[[str], object] | None,
+    bare: model.Robot, folder: Path | None, held: Mapping[str, float],
+    warn: Callable[[str], object] | None,
 ) -> list[Capsule]:
-    """Return capsules fitted to a robot without shapes; `folder` and `warn` as above."""
-    fits = fitted_capsules(bare, folder)
+    """Return capsules fitted to a robot without shapes, some joints of which are locked."""
+    fits = fitted_capsules(bare, folder, held=held)
     if warn is not None and (unprotected := links_without_shape(bare)):
         warn(f'no collision geometry, so nothing keeps obstacles away: {known(unprotected)}')
     return [capsule for fit in fits for capsule in fit.capsules]

@@ -39,7 +39,13 @@ from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.second_process import ACKNOWLEDGED, PAUSE, STOPS
 from redundant_planner.nodes.state_report import LoopState
-from redundant_planner.nodes.supervisor import Decision, FRESH_AFTER, MOVED_BY_OTHERS, Supervisor
+from redundant_planner.nodes.supervisor import (
+    Decision,
+    FRESH_AFTER,
+    MOVED_BY_OTHERS,
+    PAUSED,
+    Supervisor,
+)
 from redundant_planner.nodes.tip_commands import OBJECT, TipCommands
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
@@ -266,7 +272,9 @@ class ControlLoop:
     def _forget_target(self, reason: str) -> None:
         """Let go of a target, if there is one: kept, it would move the arm at some later time."""
         if self.command.has_target:
-            self._warn(f'target forgotten: {reason}')
+            # Who asks for a pause is told by its answer, and may be who sent the target.
+            if reason != PAUSED:
+                self._warn(f'target forgotten: {reason}')
             self.command.forget_target()
 
     def _recover(self) -> None:

@@ -9,6 +9,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.io.software_version import with_version
@@ -18,6 +19,7 @@ from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.robot_markers import RobotMarkers
 from redundant_planner.nodes.settings import Settings
 from redundant_planner.nodes.state_report import diagnostics, progress_status, status_of
+from redundant_planner.paper.method import PaperPlanner
 
 
 class Reports:
@@ -64,9 +66,10 @@ class Reports:
         state.obstacle_age = now - loop.obstacles.read_at
         state.faults, state.last_fault = guard.count, guard.last
         state.blind = loop.obstacles.blind(now)
+        planner = loop.planner
         status = status_of(
-            self._node.get_fully_qualified_name(), loop.planner.robot, state,
-            loop.supervisor.posture, loop.planner.parameters.method,
+            self._node.get_fully_qualified_name(), planner.robot, state,
+            loop.supervisor.posture, planner.parameters.method, _margin_of(planner),
             len(loop.obstacles.scene.names), loop.held)
         self._diagnostics.publish(diagnostics(status, self._node.get_clock().now().to_msg()))
         state.tick_times.clear()
@@ -112,3 +115,8 @@ class Reports:
             planner.robot, planner.robot.kinematics(posture), self._loop.obstacles.scene,
             result.nearest if result is not None else None,
             reference.position if reference is not None else None))
+
+
+def _margin_of(planner: Planner | PaperPlanner) -> float:
+    """Return the margin that a planner's distances are beyond [m]; the paper's method has none."""
+    return planner.parameters.clearance_margin if isinstance(planner, Planner) else 0.0

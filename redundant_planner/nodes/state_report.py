@@ -74,8 +74,8 @@ class LoopState:
 
 
 def status_of(
-    name: str, robot: Robot, state: LoopState, q: Array | None, method: str, obstacles: int,
-    attached: Collection[str],
+    name: str, robot: Robot, state: LoopState, q: Array | None, method: str, margin: float,
+    obstacles: int, attached: Collection[str],
 ) -> DiagnosticStatus:
     """Return one entry of /diagnostics.
 
@@ -85,6 +85,7 @@ def status_of(
         state: of the loop.
         q: (n,) latest measurement, None without one.
         method: in use.
+        margin: that the distances of the loop's results are beyond [m].
         obstacles: their number.
         attached: names of what the hand holds.
     """
@@ -125,8 +126,9 @@ def status_of(
             'manipulability': f'{result.manipulability:.6g}',
             'path error [m]': f'{float(np.linalg.norm(result.path_error[:3])):.6f}',
             'nearest pair': _pair(result.nearest),
-            'nearest distance [m]': (
-                f'{result.nearest.distance:.4f}' if result.nearest else 'inf'),
+            # Of the surfaces, as on the page and in reports; the planner counts from its margin.
+            'nearest distance [m]': _metres(result.nearest, margin),
+            'beyond the margin [m]': _metres(result.nearest),
         }
     if result is not None:
         for tip, found in zip(robot.tips, result.tips):
@@ -202,6 +204,10 @@ def _number(unit: float, statistic: object, values: Collection[float]) -> str:
 
 def _pair(nearest: Nearest | None) -> str:
     return f'{nearest.link} to {nearest.obstacle}' if nearest else ''
+
+
+def _metres(nearest: Nearest | None, more: float = 0.0) -> str:
+    return f'{nearest.distance + more:.4f}' if nearest else 'inf'
 
 
 def diagnostics(status: DiagnosticStatus, stamp: object) -> DiagnosticArray:

@@ -29,6 +29,8 @@ FRESH_AFTER = 0.3
 # Publishers of the joints find their way to this node within this, one after the other [s].
 _FOUND_WITHIN = 1.0
 _MOVED = 'something else has moved the arm: it stays where it is'
+# Why a paused arm is held.
+PAUSED = 'paused'
 # The answer to who pauses a planner that somebody has paused before.
 PAUSED_ALREADY = 'paused already: the arm is left to others'
 
@@ -191,7 +193,7 @@ class Supervisor:
             return PAUSED_ALREADY
         self._paused = paused
         self._pause_due = self._pause_due or paused
-        return ('paused: the arm comes to rest and is left to others' if paused
+        return ('paused: the arm comes to rest without its target, left to others' if paused
                 else 'resumed from where the arm is')
 
     def reset(self) -> str:
@@ -308,7 +310,7 @@ class Supervisor:
     def _wishes(self) -> Decision:
         """Return what the operator asks for: a pause, or motion by one sender's twists."""
         if self._paused or self._pause_due:
-            return Decision('paused')
+            return Decision(PAUSED)
         if len(self._twist_publishers) > 1:
             reason = (f'{_several("cmd_vel", self._twist_publishers, "which are not mixed")}; '
                       'stop all but one, or use twist_mux')

@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 # Above this share of a limit a bar warns, and above 1 it is over.
 _CLOSE, _OVER = 0.85, 1.0005
-# A clearance below this is close [m].
+# A distance below this is close [m].
 _NEAR = 0.03
 _STYLE = """<style>
 .pg{font:11.5px/1.45 system-ui,sans-serif;font-variant-numeric:tabular-nums;padding:0 .6em .4em}
@@ -49,7 +49,7 @@ def figures_html(
     """
     said = status.get('message', 'the planner is silent')
     rows = [
-        ('nearest', _clearance(near)),
+        ('nearest distance', _pair(near)),
         ('path followed, s', _share(status.get('twist scale s'))),
         ('stage', html.escape(status.get('stage', '–').lower())),
         ('off its path', _millimetres(status.get('path error [m]'))),
@@ -67,10 +67,10 @@ def figures_html(
 
 
 def tallies_html(real: Tally, ghost: Tally, method: str) -> str:
-    """Return joint paths and clearances of the arm and of the ghost, side by side."""
+    """Return joint paths and distances of the arm and of the ghost, side by side."""
     rows = [('joint path', *(f'{tally.path:.3f} rad' for tally in (real, ghost))),
-            ('clearance now', *(_distance(tally.distance) for tally in (real, ghost))),
-            ('smallest clearance', *(_distance(tally.smallest) for tally in (real, ghost)))]
+            ('nearest distance', *(_distance(tally.distance) for tally in (real, ghost))),
+            ('smallest distance', *(_distance(tally.smallest) for tally in (real, ghost)))]
     body = ''.join('<tr>' + ''.join(f'<td>{cell}</td>' for cell in row) + '</tr>' for row in rows)
     return (f'{_STYLE}<div class="pg" data-compare><table><tr><th></th><th>this arm</th>'
             f'<th>{html.escape(method.partition(":")[0])}</th></tr>{body}</table></div>')
@@ -94,7 +94,7 @@ def _bar(share: float) -> str:
             '</i></span>')
 
 
-def _clearance(near: NearestPair | None) -> str:
+def _pair(near: NearestPair | None) -> str:
     if near is None:
         return 'nothing is near'
     return (f'{_distance(near.distance)}<br>{html.escape(near.link)} to '

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Sequence
 import csv
 from dataclasses import asdict
 from functools import partial
@@ -18,54 +19,108 @@ from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from redundant_planner.analysis.bag_analysis import analyse
+from redundant_planner.analysis.joint_units import joint_units, UNKNOWN
 from redundant_planner.analysis.measure_tables import (
     as_text,
+    chunk_rows,
+    CHUNKS,
     COMPARED,
     MEASURES,
+    MOTION,
     motion_measures,
     PEAKS,
     reductions,
     telling,
+    UNITS,
 )
 from redundant_planner.analysis.results import Analysis
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.printable import printable
 
-# A narrower terminal wraps lines rather than cut numbers off.
-_WIDTH = 140
+# As wide as a page of text: a narrower terminal wraps lines rather than cut numbers off.
+_WIDTH = 100
 
 
 def joint_table(analysis: Analysis) -> Table:
     """Return the measures of every joint."""
-    table = Table(title=f"'{analysis.name}': {analysis.end - analysis.begin:.2f} s, "
-                        f'{analysis.samples} joint states')
-    table.add_column('joint')
     measures = telling(analysis.joints)
-    for key in measures:
-        table.add_column(MEASURES[key], justify='right')
-    robot, commanded = analysis.robot, analysis.commanded
-    if commanded is not None:
-        for title, _ in PEAKS.values():
-            table.add_column(title, justify='right')
-    for i, name in enumerate(analysis.joint_names):
-        cells = [f'{getattr(analysis.joints, key)[i]:.5g}' for key in measures]
-        for key, (_, limit) in PEAKS.items() if commanded is not None else ():
-            cells.append(f'{getattr(commanded, key)[i]:.5g}')
-            if robot is not None:
-                cells[-1] += f' / {getattr(robot, limit)[i]:.3g}'
-        table.add_row(name, *cells)
+    table = _joints_table(
+        f"'{analysis.name}': {analysis.end - analysis.begin:.2f} s, "
+        f'{analysis.samples} joint states, as measured', [MEASURES[key] for key in measures])
+    _add_joints(table, analysis, [UNITS[key] for key in measures], lambda i: [
+        f'{getattr(analysis.joints, key)[i]:.5g}' for key in measures])
     return table
+
+
+def peak_table(analysis: Analysis) -> Table:
+    """Return the largest velocity, acceleration and jerk of every joint, beside its limit."""
+    robot, told, joints = analysis.robot, analysis.commanded, analysis.joints
+    kinds = ('velocity', 'acceleration') if told is None else tuple(PEAKS)
+    peaks = [getattr(joints, f'peak_{kind}') if told is None else getattr(told, kind)
+             for kind in kinds]
+    limits = [None if robot is None else getattr(robot, PEAKS[kind]) for kind in kinds]
+    titles = [f'{kind}{"" if limit is None else " / limit"}'
+              for kind, limit in zip(kinds, limits)]
+    units = [UNITS[kind] for kind in kinds]
+    if told is not None:
+        # A measured acceleration would say more of noise than of the motion.
+        peaks, limits = [joints.peak_velocity, *peaks], [None, *limits]
+        titles, units = ['velocity, measured', *titles], [UNITS['velocity'], *units]
+    table = _joints_table(
+        f"peaks of '{analysis.name}', {'measured' if told is None else 'as commanded'}", titles)
+
+    def cells(i: int) -> list[str]:
+        return [f'{peak[i]:.5g}' + ('' if limit is None else f' / {limit[i]:.4g}')
+                for peak, limit in zip(peaks, limits)]
+
+    _add_joints(table, analysis, units, cells)
+    return table
+
+
+def _joints_table(title: str, columns: Sequence[str]) -> Table:
+    table = Table(title=title)
+    table.add_column('joint', overflow='fold')
+    for column in columns:
+        table.add_column(column, justify='right', overflow='fold')
+    return table
+
+
+def _add_joints(
+    table: Table, analysis: Analysis, units: Sequence[str], cells: Callable[[int], list[str]],
+) -> None:
+    """Add a row for each joint, those of a unit together and below it."""
+    own = joint_units(analysis)
+    for unit in dict.fromkeys(own):
+        shown = '[rad, m]' if unit == UNKNOWN else unit
+        table.add_section()
+        table.add_row('', *(one.replace('u', shown) for one in units), style='dim')
+        for i in (i for i, one in enumerate(own) if one == unit):
+            table.add_row(analysis.joint_names[i], *cells(i))
 
 
 def motion_table(analyses: list[Analysis]) -> Table:
     """Return the measures of whole motions, one column each."""
     table = Table(show_header=len(analyses) > 1)
-    table.add_column('')
+    table.add_column('', overflow='fold')
     for analysis in analyses:
-        table.add_column(analysis.name, justify='right')
+        table.add_column(analysis.name, justify='right', overflow='fold')
+    table.add_column('unit', overflow='fold')
     columns = [motion_measures(analysis) for analysis in analyses]
-    for key in columns[0]:
-        table.add_row(key.replace('_', ' '), *(as_text(column[key]) for column in columns))
+    for key, (title, unit, scale) in MOTION.items():
+        values = [None if column[key] is None else scale * column[key] for column in columns]
+        if any(value is not None for value in values):
+            table.add_row(title, *map(as_text, values), unit)
+    table.add_row('Nearest pair', *(as_text(column['nearest_pair']) for column in columns), '')
+    return table
+
+
+def chunk_table(analysis: Analysis) -> Table:
+    """Return how the arm followed the chunks that it was sent."""
+    table = Table(title=f"chunks that '{analysis.name}' was sent")
+    for title in CHUNKS:
+        table.add_column(title, overflow='fold')
+    for row in chunk_rows(analysis):
+        table.add_row(*row)
     return table
 
 
@@ -78,11 +133,9 @@ def comparison_table(base: Analysis, improved: Analysis) -> Table:
     if set(base.joint_names) != set(improved.joint_names):
         raise PlannerError(f"'{base.name}' and '{improved.name}' have different joints: "
                            f'{list(base.joint_names)}, {list(improved.joint_names)}')
-    table = Table(title=f"reductions (%) of '{improved.name}' against '{base.name}'")
-    table.add_column('joint')
     compared = [key for key in COMPARED if key in telling(base.joints)]
-    for key in compared:
-        table.add_column(MEASURES[key], justify='right')
+    table = _joints_table(f"reductions (%) of '{improved.name}' against '{base.name}'",
+                          [f'{MEASURES[key]} [%]' for key in compared])
     for name, row in reductions(base, improved).items():
         table.add_row(name, *('–' if np.isnan(row[key]) else f'{row[key]:.1f}'
                               for key in compared))
@@ -105,6 +158,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
                              for key in PEAKS}
     return {'bag': analysis.name, 'begin': analysis.begin, 'end': analysis.end,
             'samples': analysis.samples, 'joints': joints, 'motion': motion_measures(analysis),
+            'chunks': [asdict(run) | {'planner_said': word} for run, word in analysis.chunks],
             'notes': list(analysis.notes)}
 
 
@@ -147,7 +201,7 @@ def main(args: list[str] | None = None) -> int:
     options = parser.parse_args(args)
     # Names in a bag are no markup.
     console = Console(markup=False, emoji=False)
-    console.width = max(console.width, _WIDTH)
+    console.width = _WIDTH
     try:
         if options.params is not None and not options.params.is_file():
             raise PlannerError(f"'{options.params}' is not a file")
@@ -164,6 +218,9 @@ def main(args: list[str] | None = None) -> int:
                     progress=partial(_show, bar, task)))
         for analysis in analyses:
             console.print(joint_table(analysis))
+            console.print(peak_table(analysis))
+            if analysis.chunks:
+                console.print(chunk_table(analysis))
         console.print(motion_table(analyses))
         for other in analyses[1:]:
             console.print(comparison_table(analyses[0], other))

@@ -21,6 +21,7 @@ from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Column
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -47,14 +48,29 @@ Array = npt.NDArray[np.float64]
 _PATIENCE, _STOPPING = 10.0, 3.0
 # Slower than this is at rest, see docs/interface.md [rad/s, m/s].
 _AT_REST = 2e-3
-# How long an arm that is blocked may stay so before this gives up, and how long the planner may be
-# silent, which speaks of its target 20 times a second [s].
-_BLOCKED, _SILENCE = 5.0, 5.0
+# How long an arm that cannot get to its target may stay so before this gives up [s]: what is in
+# the way may leave it, but no place gets into reach. And how long before this says so [s].
+_PATIENT = {TargetState.BLOCKED.value: 5.0, TargetState.OUT_OF_REACH.value: 1.0}
+_STEADY = 0.3
+# How long the planner may be silent, which speaks of its target 20 times a second [s].
+_SILENCE = 5.0
+# What a planner's reason has in it → what may help. The first one that is found counts.
+_ADVICE = {
+    'no posture has the tip': 'a nearer place, or another orientation (--rpy)',
+    'out of its cone': 'a tip that leans less (--rpy), or a wider cone.angle',
+    'too near to an obstacle': 'a place further from it, another orientation (--rpy) or a '
+                               'smaller clearance.margin, or take it away',
+    'too near to': 'another place or orientation (--rpy); look at the capsules with show_robot if '
+                   'these links have more room in reality',
+    'no way to the target': 'a place in between first, or take away what is in the way',
+    'near obstacle': 'target.path: free, which goes around, or take it away',
+    'at its limit': 'target.path: free, or another orientation (--rpy)'}
+# Those who remap the planner's topics have to tell this too.
+_REMAPPED = 'if the planner has it remapped, repeat that here: --ros-args -r'
 # Targets that differ by less are one, as their numbers are rounded [m, rad].
 _SAME = 1e-5
 # What the planner says is left of a way.
 _LEFT = ('distance [m]', 'angle [rad]', 'farthest joint [rad, m]')
-_ENDS = (TargetState.BLOCKED.value, TargetState.OUT_OF_REACH.value)
 
 
 class _Client:
@@ -112,9 +128,14 @@ class _Client:
         spin_once(self._executor, seconds)
 
     def wait_for(
-        self, condition: Callable[[], object], what: str | Callable[[], str],
+        self, condition: Callable[[], object], what: str | Callable[[], str], topic: str = '',
     ) -> None:
         """Listen until something holds.
+
+        Args:
+            condition: that it waits for.
+            what: it is.
+            topic: that it comes on, if that may have another name for the planner.
 
         Raises:
             StateError: it takes too long.
@@ -125,7 +146,9 @@ class _Client:
                 lacking = what if isinstance(what, str) else what()
                 raise StateError(
                     f'no {lacking} within {_PATIENCE:g} s; is {self._planner} running, in the '
-                    'same ROS domain and namespace? --planner names another')
+                    'same ROS domain and namespace? --planner names another' if not topic else
+                    f'no {lacking} on {self.node.resolve_topic_name(topic)} within '
+                    f'{_PATIENCE:g} s; {_REMAPPED} {topic}:=…')
             self.spin()
 
     def arm(self) -> tuple[Robot, Array]:
@@ -135,8 +158,9 @@ class _Client:
             PlannerError: the planner or the arm is not there.
         """
         self.wait_for(lambda: self.configuration, 'configuration of a planner')
-        for topic in (self.target, self.joint_target):
-            self.wait_for(topic.get_subscription_count, f'listener on {topic.topic_name}')
+        for publisher, topic in ((self.target, 'target_pose'),
+                                 (self.joint_target, 'target_joints')):
+            self.wait_for(publisher.get_subscription_count, 'listener', topic)
         notes: list[str] = []
         values = configuration_of(self.configuration, notes)
         if not values:
@@ -145,7 +169,7 @@ class _Client:
         reader = self._reader = JointReader(robot.joint_names, Seams.of(robot))
         self._speeds = np.zeros(robot.n)
         self.wait_for(lambda: not reader.missing,
-                      lambda: f'joint_states of {known(reader.missing)}')
+                      lambda: f'joint_states of {known(reader.missing)}', 'joint_states')
         return robot, reader.posture
 
     def send(self, target: Goal, robot: Robot) -> None:
@@ -276,8 +300,9 @@ def follow(client: _Client, target: Goal, console: Console) -> str:
     client.wait_for(lambda: client.status is not None and client.status.values,
                     'word of the target on ~/target')
     first = _left(client.status)
-    blocked_since = None
-    with Progress(TextColumn('{task.description}'), BarColumn(),
+    stuck_since, is_said = None, False
+    wide = Column(no_wrap=True, min_width=12)
+    with Progress(TextColumn('{task.description}', table_column=wide), BarColumn(),
                   TextColumn('{task.fields[what]}'), console=console) as bar:
         task = bar.add_task('moving', total=1.0, what='')
         while True:
@@ -295,15 +320,27 @@ def follow(client: _Client, target: Goal, console: Console) -> str:
             if state == TargetState.REACHED.value:
                 bar.update(task, completed=1.0)
                 return str(state)
-            if state not in _ENDS:
-                blocked_since = None
-            elif blocked_since is None:
-                blocked_since = time.monotonic()
-            elif time.monotonic() > blocked_since + _BLOCKED:
+            now = time.monotonic()
+            if state not in _PATIENT:
+                stuck_since = None
+            elif stuck_since is None:
+                stuck_since, is_said = now, False
+            elif now > stuck_since + _PATIENT[state]:
                 return str(state)
+            elif not is_said and now > stuck_since + _STEADY:
+                is_said = True
+                console.print(f'{state}: {explained(values["limited by"])}; '
+                              f'waiting {_PATIENT[state]:g} s for a way')
             if time.monotonic() > client.heard + _SILENCE:
                 raise StateError(f'no word of the target for {_SILENCE:g} s')
             client.spin()
+
+
+def explained(reason: str) -> str:
+    """Return the planner's reason, and what may help."""
+    advice = next((words for part, words in _ADVICE.items() if part in reason), '')
+    return printable(reason or 'the planner does not say why') + (
+        f'; try {advice}' if advice else '')
 
 
 def _values(status: DiagnosticStatus | None) -> dict[str, str]:
@@ -381,8 +418,11 @@ def main(args: list[str] | None = None) -> int:
         if state == TargetState.REACHED.value:
             return 0
         reason = _values(client.status).get('limited by', '')
-        print(f'go_to: {state}{": " if reason else ""}{printable(reason)}', file=sys.stderr)
-        return 1 if state not in _ENDS or _stopped(client) else 2
+        said = f'{state}{": " if reason else ""}{printable(reason)}'
+        if state in _PATIENT:
+            said = f'{state}: {explained(reason)}; go_to gives up'
+        print(f'go_to: {said}', file=sys.stderr)
+        return 1 if state not in _PATIENT or _stopped(client) else 2
     except (PlannerError, OSError) as error:
         print(f'go_to: {printable(str(error))}', file=sys.stderr)
         if client is not None:

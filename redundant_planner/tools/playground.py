@@ -12,8 +12,10 @@ import os
 from pathlib import Path
 import signal
 import sys
+import tempfile
 import time
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from redundant_planner.core.errors import PlannerError
 
@@ -94,7 +96,6 @@ def _run(options: argparse.Namespace) -> int:
     import rclpy
     from rclpy.context import Context
     from rclpy.signals import SignalHandlerOptions
-    import viser
 
     from redundant_planner.nodes.runtime import (
         best_executor,
@@ -105,6 +106,7 @@ def _run(options: argparse.Namespace) -> int:
     from redundant_planner.playground import app
     from redundant_planner.playground.scene_nodes import SceneNodes
     from redundant_planner.playground.scenes import page_scenes
+    from redundant_planner.playground.viser_server import lead_to, viser_server
 
     domain = ros_domain()
     if not options.attach:  # a simulated arm is nobody else's business on the network
@@ -116,12 +118,12 @@ def _run(options: argparse.Namespace) -> int:
     logging.getLogger('websockets').setLevel(logging.CRITICAL)  # says each closed tab is an error
     nodes = None if options.attach else SceneNodes(domain, options.robot, options.urdf)
     executor = best_executor(context)
+    folder = tempfile.TemporaryDirectory()
     try:
         if nodes is not None:
             _check_alone(executor, domain)
-        server = viser.ViserServer(
-            host=options.host, port=options.port + 1 if options.port else 0,
-            label='redundant_planner', verbose=False)
+        server = viser_server(
+            options.host, options.port + 1 if options.port else 0, Path(folder.name))
         page = app.Playground(
             executor, server, app.Options(
                 options.planner, drives=options.drive or not options.attach,
@@ -130,6 +132,7 @@ def _run(options: argparse.Namespace) -> int:
             page_scenes(options.robot), nodes, dict(os.environ, ROS_DOMAIN_ID=str(domain)))
         try:
             url = page.serve(options.host, options.port)
+            lead_to(urlsplit(url).port or 80, Path(folder.name))
             _announce(url, options)
             while True:
                 due = time.monotonic() + _PERIOD
@@ -147,6 +150,7 @@ def _run(options: argparse.Namespace) -> int:
         if nodes is not None:
             nodes.__exit__(None, None, None)
         rclpy.try_shutdown(context=context)
+        folder.cleanup()
 
 
 def _announce(url: str, options: argparse.Namespace) -> None:

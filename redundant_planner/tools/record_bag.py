@@ -1,9 +1,12 @@
-"""record_bag: the planner's topics to an MCAP bag, with or without `ros2 bag`."""
+"""record_bag: the planner's topics to an MCAP bag, with or without `ros2 bag`.
+
+It says "recording …" once it hears all that is there: wait for that before you send a command.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 import importlib
 from pathlib import Path
@@ -17,6 +20,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
 from redundant_planner.core.errors import PlannerError
@@ -35,6 +39,9 @@ _DEPTH = 5000
 # How often the recorder looks for topics that have appeared, and hands the system what it has [s].
 _LOOK = 0.1
 _FLUSH = 1.0
+# It is ready once it hears all publishers it knows of, and has found no new topic for this long;
+# after the longer time it says so in any case [s].
+_SETTLED, _LONGEST_START = 0.5, 5.0
 
 
 class Recorder:
@@ -51,29 +58,50 @@ class Recorder:
         self.counts: dict[str, int] = {}
         self._node, self._writer, self._topics = node, writer, topics
         self._now_ns = loop_clock(node).stamp_ns
+        self._own: list[Subscription] = []
 
-    def look(self) -> None:
-        """Subscribe to the topics that have a publisher by now."""
+    def look(self) -> bool:
+        """Subscribe to the topics that are there by now; return whether there were new ones.
+
+        A topic is there if somebody publishes on it, or hears it and loses nothing: who sends one
+        target and is gone would not be heard by a recorder that comes after.
+        """
+        new = False
         for topic in [name for name in self._topics if name not in self.counts]:
-            publishers = self._node.get_publishers_info_by_topic(topic)
-            if not publishers or not message_type_known(publishers[0].topic_type):
+            ends = self._node.get_publishers_info_by_topic(topic)
+            if not ends:
+                ends = self._node.get_subscriptions_info_by_topic(topic)
+                if any(end.qos_profile.reliability != ReliabilityPolicy.RELIABLE for end in ends):
+                    continue
+            if not ends or not message_type_known(ends[0].topic_type):
                 continue
-            kind = publishers[0].topic_type
-            qos = [publisher.qos_profile for publisher in publishers]
-            reliable = all(q.reliability == ReliabilityPolicy.RELIABLE for q in qos)
-            latched = all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in qos)
-            self.counts[topic] = 0
-            self._writer.add_topic(topic, kind)
-            self._node.create_subscription(
-                _message_class(kind), topic, self._keeper(topic), QoSProfile(
-                    depth=_DEPTH,
-                    reliability=ReliabilityPolicy.RELIABLE if reliable
-                    else ReliabilityPolicy.BEST_EFFORT,
-                    durability=DurabilityPolicy.TRANSIENT_LOCAL if latched
-                    else DurabilityPolicy.VOLATILE), raw=True)
+            self._subscribe(topic, ends[0].topic_type, [end.qos_profile for end in ends])
+            new = True
+        return new
 
-    def _keeper(self, topic: str) -> Callable[[bytes], None]:
+    def _subscribe(self, topic: str, kind: str, qos: Sequence[QoSProfile]) -> None:
+        """Hear a topic as well as all of some qualities of service allow."""
+        reliable = all(q.reliability == ReliabilityPolicy.RELIABLE for q in qos)
+        latched = all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in qos)
+        self.counts[topic] = 0
+        self._own.append(self._node.create_subscription(
+            _message_class(kind), topic, self._keeper(topic, kind), QoSProfile(
+                depth=_DEPTH,
+                reliability=ReliabilityPolicy.RELIABLE if reliable
+                else ReliabilityPolicy.BEST_EFFORT,
+                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched
+                else DurabilityPolicy.VOLATILE), raw=True))
+
+    @property
+    def hears_all(self) -> bool:
+        """Whether every publisher that is known of is heard."""
+        return all(own.get_publisher_count() >= self._node.count_publishers(own.topic_name)
+                   for own in self._own)
+
+    def _keeper(self, topic: str, kind: str) -> Callable[[bytes], None]:
         def keep(message: bytes) -> None:
+            if not self.counts[topic]:
+                self._writer.add_topic(topic, kind)
             self.counts[topic] += 1
             self._writer.write(topic, self._now_ns(), message)
         return keep
@@ -84,8 +112,14 @@ def _message_class(kind: str) -> Any:
     return getattr(importlib.import_module(f'{package}.msg'), name)
 
 
+def _heard(recorder: Recorder) -> str:
+    count = len(recorder.counts)
+    return f'{count} topics are there' if count else (
+        'none of the topics is there yet, each is recorded once it is')
+
+
 def record(folder: Path, planner: str, extra: list[str], duration: float | None) -> dict[str, int]:
-    """Record until interrupted, or for a while; return topic → number of messages.
+    """Record until interrupted, or for a while once it is ready; return topic → its messages.
 
     Args:
         folder: of the new bag.
@@ -110,15 +144,20 @@ def record(folder: Path, planner: str, extra: list[str], duration: float | None)
     names = [node.resolve_topic_name(topic.replace('~', planner)) for topic in (*TOPICS, *extra)]
     try:
         with BagWriter(folder) as writer:
-            print(f"recording to '{folder}' until Ctrl-C", flush=True)
             recorder = Recorder(node, writer, names)
-            begin = time.monotonic()
-            looked, flushed = -_LOOK, begin
-            while not stopped and (duration is None or time.monotonic() - begin < duration):
+            begin = found = time.monotonic()
+            looked, flushed, ready = -_LOOK, begin, False
+            while not stopped:
                 now = time.monotonic()
+                if ready and duration is not None and now - begin >= duration:
+                    break
                 if now - looked >= _LOOK and len(recorder.counts) < len(names):
-                    recorder.look()
+                    found = now if recorder.look() else found
                     looked = now
+                if not ready and (now - begin > _LONGEST_START or (
+                        recorder.counts and now - found > _SETTLED and recorder.hears_all)):
+                    ready, begin = True, now
+                    print(f"recording to '{folder}' until Ctrl-C: {_heard(recorder)}", flush=True)
                 if now - flushed >= _FLUSH:
                     writer.flush()
                     flushed = now
@@ -157,7 +196,8 @@ def main(args: list[str] | None = None) -> int:
     finally:
         rclpy.try_shutdown()
     for topic, count in counts.items():
-        print(f'{count:8d}  {topic}')
+        if count:
+            print(f'{count:8d}  {topic}')
     return 0
 
 

@@ -211,7 +211,8 @@ def parameter_file(
         "# The URDF has no acceleration limits for all joints: replace acceleration_max by your\n"
         "# drives' own.\n")
     return ('# Made by show_robot. The capsules contain all of the collision geometry that the '
-            'chain moves.\n' + ask + ('' if not start else
+            'chain moves,\n# fingers at any opening unless locked_joints locks them.\n' + ask
+            + ('' if not start else
             '# A simulated arm (fake_hardware_node, mujoco_hardware_node) starts at '
             'initial_positions.\n') + '# The limits, and where each was from when this was '
             'written; what is a parameter below replaces it:\n'
@@ -278,7 +279,8 @@ def main(args: list[str] | None = None) -> int:
         arm = arm_of(described, warn, options.posture)
         fits: Sequence[Fit] = ()
         if arm.parameters.link_shapes == 'fitted' and not arm.parameters.capsules:
-            fits = fitted_capsules(arm.robot, urdf_folder(arm.parameters))
+            fits = fitted_capsules(
+                arm.robot, urdf_folder(arm.parameters), held=arm.parameters.locked)
         draw(options.out, arm, warn)
         console.print(_table(arm.robot, fits, time.monotonic() - began))
         console.print(said_of_limits(arm), highlight=False, markup=False, soft_wrap=True)

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
+from rich.cells import cell_len
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import get_typestore, Stores
@@ -22,7 +23,7 @@ from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.measure_tables import reductions
 from redundant_planner.analysis.metrics import reduction
 from redundant_planner.core.parameters import PlannerParameters
-from redundant_planner.io.bag_reader import open_bag
+from redundant_planner.io.bag_reader import Event, open_bag
 from redundant_planner.io.bag_repair import repair
 from redundant_planner.io.bag_storage import RecordingError
 from redundant_planner.io.bag_writer import BagWriter
@@ -113,7 +114,7 @@ def test_an_arm_that_starts_at_rest_has_no_initial_velocity_to_reduce(recorded):
         under_way.joints, initial_velocity=np.full(7, 1e-8)))
     for base, is_told in ((under_way, True), (resting, False)):
         titles = [column.header for column in comparison_table(base, under_way).columns]
-        assert ('initial velocity' in titles) == is_told
+        assert ('initial velocity [%]' in titles) == is_told
         rows = reductions(base, under_way)
         assert np.isfinite(rows['all joints']['initial_velocity']) == is_told
         assert rows['all joints']['path'] == 0.0
@@ -390,3 +391,53 @@ def test_what_cannot_be_written_is_said_in_one_line(recorded, tmp_path, capsys):
                       ['--begin', '1e300'], ['--begin=-inf', '--end=-1e300']):
         assert analyze_bag([str(path), *arguments]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_tip_on_its_way_to_a_target_has_no_path_that_it_could_leave(tmp_path):
+    robot, parameters, motion = paper_motion(1.0)
+    path = write(tmp_path / 'bag', robot, parameters, motion,
+                 twist_at=lambda time: SCENARIO.twist_at(time) * (time < 0.4))
+    whole = analyse(path)
+    # Nothing is commanded from 0.4 s on, and the arm goes on: it leaves where the path ended.
+    assert np.nanmax(whole.curves.path_error) > 0.005
+    with BagWriter(tmp_path / 'with target') as bag, open_bag(path) as before:
+        kinds = KINDS | {'target_joints': KINDS['joint_states']}
+        for topic in kinds:
+            bag.add_topic(f'/{topic}', kinds[topic])
+        topics = {'configuration': 'planner_node/configuration'}
+        for item in before.read(('cmd_vel', 'obstacles', 'configuration')):
+            assert isinstance(item, Event)
+            bag.write(f'/{topics.get(item.topic, item.topic)}', ns(item.arrival), item.raw)
+        bag.write_joints('/target_joints', ns(0.41), robot.joint_names, motion.positions[-1],
+                         np.zeros(robot.n))
+        for i, dq in enumerate(motion.velocities):
+            bag.write_joints('/joint_states', ns(motion.times[i]), robot.joint_names,
+                             motion.positions[i], dq)
+    curves = analyse(tmp_path / 'with target').curves
+    begin = curves.times[0]
+    assert np.nanmax(curves.path_error) < 1e-3
+    assert np.isnan(curves.path_error[curves.times > begin + 0.42]).all()
+    assert np.isfinite(curves.path_error[curves.times < begin + 0.4]).all()
+
+
+@pytest.mark.parametrize('bags', [1, 2])
+def test_what_is_printed_is_at_most_100_columns_wide_with_a_unit_for_each(
+        recorded, tmp_path, bags, capsys):
+    path, robot, motion = recorded
+    with BagWriter(tmp_path / 'long names') as bag:
+        bag.add_topic('/joint_states', KINDS['joint_states'])
+        names = [f'left_arm_of_the_cell_joint_{i}' for i in range(7)]
+        for i, dq in enumerate(motion.velocities):
+            bag.write_joints('/joint_states', ns(0.004 * i), names, motion.positions[i], dq)
+    paths = [str(path)] if bags == 1 else [str(path), str(path)]
+    for arguments in (paths, [str(tmp_path / 'long names')]):
+        assert analyze_bag(arguments) == 0
+        printed = capsys.readouterr().out
+        assert max(map(cell_len, printed.splitlines())) <= 100
+        assert '…' not in printed
+    assert analyze_bag(paths) == 0
+    printed = capsys.readouterr().out
+    for unit in ('rad²/s', 'm²/s', 'rad/s³', 'm/s³', 'mm', 'ms'):
+        assert unit in printed, unit
+    for name in robot.joint_names:
+        assert f' {name} ' in printed

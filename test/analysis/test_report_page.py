@@ -194,7 +194,7 @@ def test_the_differences_of_two_bags_are_those_of_their_figures(waiting, second)
     a, b = motion_measures(waiting), motion_measures(second)
     for key, title, scale in (
             ('joint_path', 'Joint path, all joints', 1.0), ('effort', '∫q̇ᵀq̇ dt', 1.0),
-            ('smallest_distance_mm', 'Smallest clearance', 1.0),
+            ('smallest_distance_mm', 'Smallest distance', 1.0),
             ('twist_scale_mean', 'Commanded twist that was followed, mean', 100.0)):
         first, other, difference, _, _ = rows[title]
         assert first == number_text(scale * a[key]) and other == number_text(scale * b[key])

@@ -40,7 +40,7 @@ def with_peaks(found, **shares):
 
 
 WITHIN_AND_BEYOND = {
-    'Smallest clearance': lambda found, share: replace(
+    'Smallest distance': lambda found, share: replace(
         found, distance=found.facts.margin * (2.0 - share)),
     'Tip off its path': lambda found, share: replace(found, curves=replace(
         found.curves, path_error=np.full(len(found.curves.times), 1e-3 * share))),
@@ -67,8 +67,8 @@ def test_it_turns_bad_beyond_the_limit(found, title):
 
 def test_the_values_are_those_of_the_analysis(found):
     measures = motion_measures(found)
-    assert tile(found, 'Smallest clearance').value == measures['smallest_distance_mm']
-    assert tile(found, 'Smallest clearance').limit == pytest.approx(10.0)
+    assert tile(found, 'Smallest distance').value == measures['smallest_distance_mm']
+    assert tile(found, 'Smallest distance').limit == pytest.approx(10.0)
     assert tile(found, 'Tip off').value == measures['largest_path_error_mm']
     sliding, turning = tile(found, 'Joint path, sliding'), tile(found, 'Joint path, turning')
     assert (sliding.unit, turning.unit) == ('m', 'rad')

@@ -19,9 +19,11 @@ from redundant_planner.core.errors import PlannerError, RobotError
 from redundant_planner.core.robot.capsule_fit import distances, Shape
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
+from redundant_planner.core.robot.urdf import read_urdf
 from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io import link_shapes
 from redundant_planner.io.collision_geometry import collision_elements, collision_pieces
+from redundant_planner.io.hand_openings import openings_of
 from redundant_planner.io.link_shapes import fitted_capsules
 from redundant_planner.io.link_surfaces import link_surfaces
 from redundant_planner.io.node_parameters import FakeHardwareParameters
@@ -63,6 +65,68 @@ def test_every_corner_of_an_arms_geometry_is_inside(file, tip):
         assert outside.max() <= 0.0, piece.link
     ratios = [fit.ratio for fit in fits.values()]
     assert np.median(ratios) < 2.3 and all(len(fit.capsules) < 5 for fit in fits.values())
+
+
+HANDS = {'panda_description/urdf/panda.urdf': 'panda_hand',
+         'baxter_description/urdf/baxter.urdf': 'left_gripper_base_link',
+         'pr2_description/urdf/pr2.urdf': 'r_gripper_palm_link'}
+
+
+def outside_of_hand(fits, robot, folder, share):
+    """How far the hand's corners are outside of its capsules, opened by a share, at most [m]."""
+    joints = {joint.name: joint for joint in read_urdf(robot.urdf).joints}
+    opened = Robot(robot.urdf, robot.tip_frame, capsules=[], velocity_max=1.0, locked_positions={
+        name: (1.0 - share) * joints[name].lower + share * joints[name].upper
+        for name in openings_of(robot, {}).joints})
+    fit = next(fit for fit in fits if fit.joint == robot.joint_names[-1])
+    base = fit.capsules[0].frame
+    return max(float(np.min([
+        distances(opened.in_link(base, piece.link, piece.points), Shape(c.start, c.end, c.radius))
+        - c.radius for c in fit.capsules], axis=0).max())
+        for piece in collision_pieces(robot, folder) if piece.joint == fit.joint)
+
+
+@pytest.mark.first_alone
+@pytest.mark.parametrize(('file', 'tip'), HANDS.items(), ids=[f.split('_')[0] for f in HANDS])
+def test_the_capsules_of_a_hand_hold_at_any_opening(file, tip):
+    path = EXAMPLE_ROBOTS / file
+    robot = Robot(path.read_text(), tip, capsules=[], velocity_max=1.0)
+    fits = fitted_capsules(robot, path.parent, cache=False)
+    for share in (0.0, 0.03, 0.21, 0.5, 0.77, 0.97, 1.0):
+        assert outside_of_hand(fits, robot, path.parent, share) <= 0.0, share
+
+
+def test_a_hand_that_is_locked_has_capsules_for_that_opening_alone():
+    robot = Robot(PANDA_URDF.read_text(), 'panda_hand', capsules=[])
+    shut = fitted_capsules(robot, PANDA_URDF.parent, held={'panda_finger_joint1': 0.0},
+                           cache=False)
+    assert outside_of_hand(shut, robot, PANDA_URDF.parent, 0.0) <= 0.0
+    assert outside_of_hand(shut, robot, PANDA_URDF.parent, 1.0) > 0.01
+    assert openings_of(robot, {}).joints == ('panda_finger_joint1',)
+    assert openings_of(robot, {'panda_finger_joint1': 0.0}).joints == ()
+
+
+def test_a_round_finger_that_turns_is_covered_between_the_looks_too():
+    """A bar of 0.3 m with a ball at its end, turning by 3 rad: what it sweeps is bent."""
+    text = planar_urdf().replace('<link name="tip"/>', (
+        '<link name="tip"/><link name="finger"><collision><origin xyz="0.3 0 0"/>'
+        '<geometry><sphere radius="0.02"/></geometry></collision></link>'
+        '<joint name="knuckle" type="revolute"><parent link="link3"/><child link="finger"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1.5" upper="1.5" velocity="1" effort="1"/></joint>'))
+    robot = Robot(text, 'tip', capsules=[], axes=('vx', 'vy'))
+    _, bulge = openings_of(robot, {}).points_of('link3', 'finger', np.array([[0.3, 0.0, 0.0]]))
+    assert bulge == pytest.approx(0.3 * (1.0 - np.cos(0.5 * 3.0 / 16)), rel=1e-6)
+    (fit,) = fitted_capsules(robot, None, cache=False)
+    base = fit.capsules[0].frame
+    ball = np.random.default_rng(0).normal(size=(300, 3))
+    ball *= 0.02 / np.linalg.norm(ball, axis=1, keepdims=True)
+    for angle in np.linspace(-1.5, 1.5, 97):
+        turned = Robot(text, 'tip', capsules=[], axes=('vx', 'vy'),
+                       locked_positions={'knuckle': angle})
+        points = turned.in_link(base, 'finger', np.array([0.3, 0.0, 0.0]) + ball)
+        outside = np.min([distances(points, Shape(c.start, c.end, c.radius)) - c.radius
+                          for c in fit.capsules], axis=0)
+        assert outside.max() <= 0.0, angle
 
 
 def arm_with(geometry):
@@ -318,7 +382,7 @@ def test_a_damaged_cache_is_recognised_and_made_anew(cached, data):
 @pytest.mark.parametrize('content', ['[]', '[{}]', '{}', 'null', '{"joint": 1}'])
 def test_a_whole_cache_that_lacks_links_is_made_anew(cached, content):
     robot, fits, file = cached
-    key = link_shapes._key(robot, collision_elements(robot, None))
+    key = link_shapes._key(robot, collision_elements(robot, None), openings_of(robot, {}))
     good = file.read_bytes()
     file.write_bytes(link_shapes._seal(key, content.encode()) + b'\n' + content.encode())
     assert numbers_of(fitted_capsules(robot, None)) == numbers_of(fits)

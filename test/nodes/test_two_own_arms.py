@@ -89,8 +89,8 @@ def test_with_mounts_they_see_each_other_at_the_right_distance(files, tmp_path):
         assert expected > 0.05
         for side in SIDES:
             level, message, values = said[side][-1]
-            # What is said is the room beyond the margin.
-            assert float(values['nearest distance [m]']) == pytest.approx(
+            assert float(values['nearest distance [m]']) == pytest.approx(expected, abs=1e-3)
+            assert float(values['beyond the margin [m]']) == pytest.approx(
                 expected - MARGIN, abs=1e-3)
             assert level != DiagnosticStatus.ERROR, message
 

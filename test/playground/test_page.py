@@ -153,6 +153,7 @@ def playground(folder):
 
     try:
         arm.wait_for(lambda: address() and arm.is_commanded(), 'the page and the arm')
+        assert len(re.findall('http://', log.read_text())) == 1, 'more than one address'
         yield arm, address().group(1)
         process.send_signal(signal.SIGINT)
         begin = time.monotonic()

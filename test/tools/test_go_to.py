@@ -13,6 +13,7 @@ from live_helpers import LIVE, station
 import numpy as np
 import pinocchio as pin
 import pytest
+from rcl_interfaces.msg import Log
 from std_srvs.srv import SetBool
 
 from redundant_planner.core.errors import StateError
@@ -20,7 +21,7 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.nodes.supervisor import PAUSED_ALREADY
-from redundant_planner.tools.go_to import joint_target_of, main as go_to, target_of
+from redundant_planner.tools.go_to import explained, joint_target_of, main as go_to, target_of
 
 TIP = Pose(np.array([0.1, 0.2, 0.3]), np.asarray(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 2)))
 
@@ -61,6 +62,22 @@ def test_joints_that_are_left_out_stay_and_bad_entries_are_named():
             ([f'{one}=0', f'{one}=0'], f"names '{one}' twice"), ([f'{one}=99'], 'must be')):
         with pytest.raises(StateError, match=re.escape(what)):
             joint_target_of(ARM, q, entries, False)
+
+
+@pytest.mark.parametrize(('reason', 'advice'), [
+    ("at the target 'hand' would be 3.0 mm too near to an obstacle", 'clearance.margin'),
+    ("at the target 'hand' would be 3.0 mm too near to 'link1'", 'show_robot'),
+    ('no posture has the tip at the target; the speed gave way: singular posture', 'nearer place'),
+    ("the speed gave way: link 'hand' near obstacle 'wall'", 'target.path: free'),
+    ('no way to the target is found', 'a place in between')])
+def test_a_reason_comes_with_what_may_help(reason, advice):
+    found = explained(reason)
+    assert found.startswith(f'{reason}; try ') and advice in found
+
+
+def test_of_an_unknown_reason_it_says_no_more_than_that():
+    assert explained('a comet') == 'a comet'
+    assert explained('') == 'the planner does not say why'
 
 
 def run(ros, *arguments):
@@ -115,8 +132,14 @@ def test_there_blocked_and_stopped_by_ctrl_c():
         ros.wait_for(lambda: any(v.value == '1' for s in ros.statuses[-1:] for v in s.values
                                  if v.key == 'obstacles'), 'the wall')
         behind = [f'{number:.5f}' for number in begin + (0.0, -0.4, 0.0)]
-        status, _, err = end(ros, run(ros, '--position', *behind, '--wait'))
+        said = []
+        ros.node.create_subscription(Log, '/rosout', lambda m: said.append(m.msg), 100)
+        status, out, err = end(ros, run(ros, '--position', *behind, '--wait'))
         assert status == 1 and re.search(r"(blocked|out of reach): .*'wall", err), err
+        assert 'try ' in err and 'go_to gives up' in err
+        # It says so while it waits, and the pause by which it stops the arm is its own affair.
+        assert 'waiting' in out and "'wall" in out
+        assert not any('target forgotten' in line for line in said), said
 
         # The motion waited for is the next one's: Ctrl-C comes when it has said where to go.
         ros.wait_for(ros.at_rest, 'rest')
@@ -138,6 +161,24 @@ def test_without_a_planner_it_says_what_is_missing():
     with station() as (ros, _):
         status, _, err = end(ros, run(ros, '--position', '0', '0', '0'))
         assert status == 2 and 'no configuration of a planner within 10 s' in err
+
+
+@pytest.mark.long
+@pytest.mark.live
+@LIVE
+def test_without_joint_states_it_names_the_topic_that_it_hears():
+    with station() as (ros, processes):
+        processes.start('fake_hardware_node', FILE, ARM_VALUES,
+                        {'joint_states': '/cell/measured'})
+        processes.start('planner_node', FILE, {}, {'joint_states': '/cell/measured'})
+        place = ['--position', '0', '0.4', '0.9']
+        status, _, err = end(ros, run(ros, *place))
+        assert status == 2 and re.search(
+            "no joint_states of 'd1', .* on /joint_states within 10 s", err), err
+        remapped = '--ros-args -r joint_states:='
+        assert remapped in err
+        status, _, err = end(ros, run(ros, *place, *f'{remapped}/cell/measured'.split()))
+        assert status == 0, err
 
 
 def planner_and_arm(ros, processes):

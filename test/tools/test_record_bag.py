@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 
+from geometry_msgs.msg import PoseStamped
 from live_helpers import LIVE, PATIENCE, station
 import numpy as np
 import pytest
@@ -22,10 +23,10 @@ pytestmark = LIVE
 COUNT = 2000
 
 
-def listens(ros, name):
+def listens(ros, name, topic='joint_command'):
     """Whether a node of this name has a subscription: others on this machine may have one."""
     return any(found.node_name == name
-               for found in ros.node.get_subscriptions_info_by_topic('joint_command'))
+               for found in ros.node.get_subscriptions_info_by_topic(topic))
 
 
 @pytest.mark.first_alone
@@ -65,6 +66,46 @@ def test_nothing_is_lost_at_a_thousand_hertz_and_a_kill_leaves_it_readable(tmp_p
         assert f'{everything:8d}  /joint_command' in out
     else:
         assert len(counted) > COUNT / 4
+
+
+def test_once_it_says_that_it_records_it_hears_who_sends_one_target_and_is_gone(tmp_path):
+    with station() as (ros, processes):
+        heard, said = [], tmp_path / 'said'
+        qos = QoSProfile(depth=1)  # as the planner's
+        ros.node.create_subscription(PoseStamped, 'target_pose', heard.append, qos)
+        with said.open('w') as out:
+            recorder = subprocess.Popen(
+                [sys.executable, '-m', 'redundant_planner.tools.record_bag',
+                 str(tmp_path / 'bag')], env=processes.environment, stdout=out)
+        try:
+            ros.wait_for(lambda: 'recording to' in said.read_text(), 'the line')
+            assert listens(ros, 'record_bag', 'target_pose')
+            sender = ros.node.create_publisher(PoseStamped, 'target_pose', qos)
+            ros.wait_for(lambda: sender.get_subscription_count() == 2, 'both that hear it')
+            sender.publish(PoseStamped())
+            ros.wait_for(lambda: heard, 'the target')
+            ros.node.destroy_publisher(sender)
+            ros.spin(0.5)
+            recorder.send_signal(signal.SIGINT)
+            assert recorder.wait(PATIENCE) == 0
+        finally:
+            recorder.kill()
+    assert '1  /target_pose' in said.read_text()
+    with open_bag(tmp_path / 'bag') as bag:
+        # What somebody hears but nobody sends is no topic of the bag.
+        assert bag.topics == {'target_pose': 1}
+
+
+def test_a_short_recording_begins_once_it_is_ready(tmp_path):
+    with station() as (_, processes):
+        recorder = subprocess.Popen(
+            [sys.executable, '-m', 'redundant_planner.tools.record_bag', str(tmp_path / 'bag'),
+             '--duration', '0.3', '--ros-args', '-r', '__ns:=/nobody'],
+            env=processes.environment, stdout=subprocess.PIPE, text=True)
+        out, _ = recorder.communicate(timeout=PATIENCE)
+    assert recorder.returncode == 0
+    # Of the station's topics /diagnostics alone is in no namespace.
+    assert '1 topics are there' in out, out
 
 
 def test_what_is_there_is_not_overwritten(tmp_path, capfd):

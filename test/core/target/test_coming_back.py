@@ -38,7 +38,8 @@ def coming_back(away, nearer, seconds, *, lost=False, goes=0.0):
         off = max(away - nearer * i * DT, 0.0)
         there = se3.displaced(home, np.array([0.0, off, 0.0, 0.0, 0.0, 0.0]), False)
         followed[0] = 0.0 if back.target is None else goes
-        gave_up = back.note(Poses.of(home), Poses.of(there), followed, DT, leaving=i == 0, lost=lost) or gave_up
+        gave_up = back.note(Poses.of(home), Poses.of(there), followed, DT, leaving=i == 0,
+                            lost=lost) or gave_up
         asked = asked or back.target is not None
     return asked, gave_up, back
 
