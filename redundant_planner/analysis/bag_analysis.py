@@ -270,6 +270,9 @@ class _Motion:
             notes.append(
                 f'{self._source} pauses {sums.gaps} times for more than {GAP:g} s, at most '
                 f'{sums.longest_gap:.6g} s; how fast the arm was meanwhile is not known')
+        if self._robot is not None and len(self._robot.tips) > 1:
+            notes.append(f"the tip's curves are of '{self._robot.tip_frame}' alone; twist scale "
+                         'and distance from the path of several tips are in /diagnostics')
         notes += self._reports.notes
         notes += self._bag.problems
         if commands is not None and self._period is None:
@@ -313,17 +316,18 @@ def _curves(
     chunks: tuple[ChunkRun, ...] = ()
     tips: Array = np.full((len(rows), 3), np.nan)
     if robot is not None:
+        arms, count = robot.kinematics_along(q), len(robot.tips)
+        tips, rotations = arms.tip_positions[::count], arms.tip_rotations[::count]
+    if robot is not None and len(robot.tips) == 1:
         twists = commanded.at(times)
-        arms = robot.kinematics_along(q)
-        tips = arms.tip_positions
         task = np.array([robot.task_rows(twist) for twist in twists])
         size = (task * task).sum(axis=1)
         followed = ((arms.jacobian @ dq[:, :, None])[:, :, 0] * task).sum(axis=1)
         commanded_to_move = size > _SLOW ** 2 * size.max(initial=0.0)
         scale[commanded_to_move] = followed[commanded_to_move] / size[commanded_to_move]
-        error = path_errors(robot, times, twists, tips, arms.tip_rotations, targets)
+        error = path_errors(robot, times, twists, tips, rotations, targets)
         if log is not None:
-            chunks = log.runs(times, q, places_of(robot, tips, arms.tip_rotations))
+            chunks = log.runs(times, q, places_of(robot, tips, rotations))
     told = commands.at(times) if commands is not None else None
     return Curves(
         times, q, dq, ddq, told, rows[:, -1], scale, tips, error, tuple(scenes)), chunks

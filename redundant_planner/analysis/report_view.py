@@ -81,7 +81,8 @@ def view_of(analysis: Analysis, shown: tuple[float, float]) -> dict[str, Any]:
         'first': first,
         'vertices': packed_numbers(surfaces), 'capsules': len(radii), 'grid': [_RIBS, _SIDES],
         'ball': [_BALL_RIBS, _BALL_SIDES],
-        'chain': packed_numbers(chains), 'tips': packed_numbers(arms.tip_positions),
+        'chain': packed_numbers(chains),
+        'tips': packed_numbers(arms.tip_positions[::len(robot.tips)]),
         'obstacles': list(drawn),
         'hidden': max(len(scene.names) - len(near[id(scene)]) for scene in scenes),
         'scene': which, 'range': np.column_stack((middle - half, middle + half)).tolist()}

@@ -11,7 +11,7 @@ from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.nodes.command_input import CommandInput
 
@@ -65,13 +65,13 @@ def trajectory(begin, positions=PANDA_READY, names=None):
     (4999.5, 0.5), (5000.0, 0.0), (5001.0, -1.0), (None, 0.0)])
 def test_a_chunk_begins_at_its_stamp_or_as_it_arrives(command, said, begin, late):
     command.on_trajectory(trajectory(begin), PANDA, PANDA_READY)
-    found = command.target(TIP)
+    found = command.target(Poses.of(TIP))
     assert isinstance(found, Chunk) and found.late == pytest.approx(late) and not said
     begin = 4990.0 if begin is None else begin
     command.on_path(path([begin, begin + 2.0], stamped=begin != 4990.0))
-    assert command.target(TIP).late == pytest.approx(late) and not said
+    assert command.target(Poses.of(TIP)).late == pytest.approx(late) and not said
     # The same object for as long as it holds.
-    assert command.target(TIP) is command.target(TIP) is command.known_target
+    assert command.target(Poses.of(TIP)) is command.target(Poses.of(TIP)) is command.known_target
 
 
 @pytest.mark.parametrize(('begin', 'reason'), [
@@ -89,22 +89,22 @@ def test_a_chunk_of_another_time_is_refused(command, said, begin, reason):
     ('elsewhere', [0.0, 0.1, 1.0])])
 def test_poses_may_be_given_in_any_frame(command, said, frame, second):
     command.on_path(path([5000.0, 5001.0], frame))
-    found = command.target(TIP)
+    found = command.target(Poses.of(TIP))
     np.testing.assert_allclose(found.points[1].position, second, atol=1e-12)
     assert not said
     # Meant from where the tip was at first.
-    assert command.target(Pose(np.zeros(3), np.eye(3))) is found
+    assert command.target(Poses.of(Pose(np.zeros(3), np.eye(3)))) is found
 
 
 def test_what_cannot_be_followed_is_refused_and_changes_nothing(command, said):
     command.on_path(path([5000.0, 5001.0]))
-    before = command.target(TIP)
+    before = command.target(Poses.of(TIP))
     command.on_trajectory(trajectory(None), PANDA, None)
     command.on_trajectory(trajectory(None, PANDA_READY + 3.0), PANDA, PANDA_READY)
     command.on_trajectory(trajectory(None, [0.0], ['elbow']), PANDA, PANDA_READY)
     command.on_path(path([5001.0, 5000.5]))
     command.on_path(b'')
-    assert command.target(TIP) is before
+    assert command.target(Poses.of(TIP)) is before
     for line, reason in zip(said, ('nothing was heard on joint_states yet',
                                    "takes joint 'panda_joint1'", "names 'elbow'",
                                    'do not ascend', 'it begins with nothing'), strict=True):

@@ -9,9 +9,11 @@ from rclpy.serialization import serialize_message
 from rclpy.time import Time
 
 from redundant_planner.core.horizon.preview import Preview
+from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.messages import preview_to_message, twist_to_message
 
+TIPS = Poses.of(Pose(np.zeros(3), np.eye(3)))
 TWIST = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.2])
 
 
@@ -37,7 +39,7 @@ class Clocks:
 
     @property
     def moving(self):
-        return bool(self.input.twist(0.1).any())
+        return self.input.moves(0.1)
 
 
 @pytest.fixture
@@ -47,7 +49,7 @@ def clocks():
 
 def test_a_command_ages_by_receipt(clocks):
     clocks.input.on_twist(serialised(twist_to_message(TWIST)))
-    np.testing.assert_array_equal(clocks.input.twist(0.1), TWIST)
+    np.testing.assert_array_equal(clocks.input.twist(0.1, lambda: TIPS), TWIST)
     clocks.loop += 0.09
     assert clocks.moving
     clocks.loop += 0.02
@@ -144,5 +146,5 @@ def test_bytes_that_are_no_message_change_nothing(clocks):
             clocks.said.clear()
             take(raw)
             assert 'ignored: ' in clocks.said[0]
-    np.testing.assert_array_equal(clocks.input.twist(0.1), TWIST)
+    np.testing.assert_array_equal(clocks.input.twist(0.1, lambda: TIPS), TWIST)
     assert clocks.input.previews == 0

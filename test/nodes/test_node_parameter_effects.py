@@ -142,7 +142,7 @@ def time_that_a_twist_counts(p: PlannerNodeParameters):
     message = Twist()
     message.linear.x = 0.1
     command.on_twist(bytes(serialize_message(message)))
-    while command.twist(p.incoming_command_timeout).any():
+    while command.moves(p.incoming_command_timeout):
         now += 1e-3
     return now - 100.0
 
@@ -338,7 +338,7 @@ CASES = [
 # Without more or less: what the nodes' live tests and those of io/ hold them to.
 NAMES_SOMETHING = {
     RobotParameters: {
-        'urdf', 'robot_description', 'base_frame', 'tip_frame', 'mount_frame', 'capsules',
+        'urdf', 'robot_description', 'base_frame', 'tip_frame', 'tips', 'mount_frame', 'capsules',
         'link_shapes'},
     PlannerNodeParameters: {
         'rate', 'enable_stamped_cmd_vel', 'obstacle_topics', 'outputs', 'publish_ticks',
