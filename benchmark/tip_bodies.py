@@ -20,6 +20,8 @@ _STROKE, _APART, _LIFT_SPEED, _LIFT_ACCELERATION = 0.5, 0.3, 0.2, 0.5
 # The base: how far it may go from where it starts [m], its limits [m/s, m/s²; rad/s, rad/s²], and
 # how high the arm stands on it, and its radius [m].
 _ROOM, _BASE_LIMITS, _HEIGHT, _RADIUS = 3.0, (0.5, 0.5, 1.0, 1.0), 0.35, 0.3
+# How unwilling it is to move.
+_WEIGHT = 30.0
 # Acceleration limits that the URDFs of TIAGo and Baxter do not have [rad/s², m/s²].
 _ACCELERATION = 5.0
 
@@ -78,6 +80,7 @@ def _on_a_base() -> Robot:
                 *panda.capsules]
     return Robot(
         ElementTree.tostring(robot, encoding='unicode'), panda.tip_frame, capsules=capsules,
+        weights=[_WEIGHT] * 3 + [1.0] * panda.n,
         acceleration_max=[linear_acceleration, linear_acceleration, angular_acceleration,
                           *panda.acceleration_max.tolist()])
 

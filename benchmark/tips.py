@@ -49,6 +49,8 @@ _CLEAR, _LIMIT_DISTANCE = 0.03, 0.1
 _OBSTACLES, _SIZES, _AWAY = 6, (0.04, 0.1), 0.5
 # How far the base has to go about [m].
 _BASE_GOES = (1.0, 2.5)
+# A base that drives first stops at this distance from the target, and the arm reaches then [m].
+_REACHES = 0.5
 # Coupled tips: how far the object goes [m, rad], at how many places of its line a posture has to
 # be found, and the smallest singular value of J there.
 _OBJECT_GOES, _OBJECT_TURNS, _PLACES, _REGULAR = 0.3, 0.6, 12, 0.1
@@ -80,7 +82,7 @@ class Outcome(NamedTuple):
             not coupled.
         tick_us: of ticks that move the arm, in the median [µs].
         base_way: how far the base went [m]; 0 without one.
-        base_least: how far it goes if it drives first and the arm reaches then [m].
+        base_least: how far it goes straight ahead if it drives first and the arm reaches then [m].
     """
 
     seed: int
@@ -272,7 +274,8 @@ def judged(
     way = least = 0.0
     if len(robot.tips) == 1:
         way = float(np.linalg.norm(np.diff(postures[:, :2], axis=0), axis=1).sum())
-        least = float(np.linalg.norm(problem.goal[:2] - problem.start[:2]))
+        target = robot.kinematics(problem.goal).tip_position[:2]
+        least = max(float(np.linalg.norm(target - problem.start[:2])) - _REACHES, 0.0)
     return Outcome(
         seed, state.value, DT * len(velocities), nearest.distance, str(nearest),
         limit_violation(robot, postures, velocities, DT), 0.0,

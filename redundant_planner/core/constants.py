@@ -86,7 +86,7 @@ def joint_weights(robot: Robot, parameters: PlannerParameters) -> Array:
     Raises:
         ParameterError: there are not as many as joints.
     """
-    weights = np.array(parameters.criteria_joint_weights or np.ones(robot.n))
+    weights = np.array(parameters.criteria_joint_weights or robot.weights)
     if weights.shape != (robot.n,):
         raise ParameterError(
             f"parameter 'criteria.joint_weights' has {weights.size} entries; it takes {robot.n}, "

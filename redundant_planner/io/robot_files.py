@@ -79,6 +79,7 @@ class Robot(model.Robot):
         velocity_max: Sequence[float] | float | None = None,
         acceleration_max: Sequence[float] | float | None = None,
         jerk_max: Sequence[float] | float | None = None,
+        weights: Sequence[float] | float | None = None,
         capsules: Sequence[Capsule] | None = None,
         link_radius: float | None = None,
     ) -> Robot:
@@ -105,6 +106,7 @@ class Robot(model.Robot):
                 has none. Ask the maker.
             jerk_max: one value or n [rad/s³, m/s³]; None for the URDF's, or 100/s times the
                 acceleration limit where it has none; infinite for no limit.
+            weights: how unwilling the joints are to move, one value or n; 1 if None.
             capsules: these link shapes instead of fitted ones.
             link_radius: straight capsules of this radius from joint to joint instead of fitted
                 ones [m]; 0 for bare lines.
@@ -122,8 +124,8 @@ class Robot(model.Robot):
                 urdf, tip_frame, tips=tips, base_frame=base_frame,
                 locked_positions=locked_positions, axes=axes, command_frame=command_frame,
                 position_limits=position_limits, velocity_max=velocity_max,
-                acceleration_max=acceleration_max, jerk_max=jerk_max, capsules=shapes,
-                link_radius=link_radius)
+                acceleration_max=acceleration_max, jerk_max=jerk_max, weights=weights,
+                capsules=shapes, link_radius=link_radius)
 
         if capsules is not None or link_radius is not None:
             return robot_with(capsules)

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from redundant_planner.core.errors import known, RobotError, StateError
+from redundant_planner.core.errors import known, RobotError, shown, StateError
 from redundant_planner.core.machine_code.packed import Packed
+from redundant_planner.core.numbers import floats_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import AXES, COMMAND_FRAMES
 from redundant_planner.core.robot import capsules as shapes
@@ -61,6 +62,7 @@ class Robot:
         velocity_max, acceleration_max, jerk_max: (n,) [rad/s, m/s; per s²; per s³], the last may
             be infinite.
         limit_sources: where each of these limits is from.
+        weights: (n,) how unwilling the joints are to move.
         capsules: the link shapes, then those of what the hand holds.
         self_pairs: (p, 2) indices of the capsules that can run into each other.
         supports: (c, n) 1 where a joint moves a capsule, else 0.
@@ -83,6 +85,7 @@ class Robot:
         velocity_max: Values | None = None,
         acceleration_max: Values | None = None,
         jerk_max: Values | None = None,
+        weights: Values | None = None,
         capsules: Sequence[Capsule] | None = None,
         link_radius: float | None = None,
     ) -> None:
@@ -106,6 +109,8 @@ class Robot:
                 gives one.
             jerk_max: replaces the URDF's, one value or n [rad/s³, m/s³]; infinite for none. 100/s
                 times the acceleration limit where neither gives one.
+            weights: how unwilling the joints are to move, one value or n; 1 if None. The
+                parameter criteria.joint_weights replaces them.
             capsules: the link shapes; an empty list leaves every link unprotected.
             link_radius: where `capsules` is None, the radius of straight capsules from each
                 joint origin to the next [m]; 0 for bare lines.
@@ -139,6 +144,7 @@ class Robot:
          self.jerk_max, self.limit_sources) = joint_limits(
             chain, positions=position_limits, velocity_max=velocity_max,
             acceleration_max=acceleration_max, jerk_max=jerk_max)
+        self.weights = _checked_weights(1.0 if weights is None else weights, self.joint_names)
         # Narrower limits change nothing about which links can meet: the arm may start beyond.
         self._reachable = position_ranges(chain)
 
@@ -341,6 +347,15 @@ class Robot:
 def _read_only(array: Array) -> Array:
     array.setflags(write=False)
     return array
+
+
+def _checked_weights(weights: Values, names: Sequence[str]) -> Array:
+    given = floats_of(weights)
+    if given.shape not in ((), (1,), (len(names),)) or not (
+            (given > 0.0) & (given < np.inf)).all():
+        raise RobotError(f'weights are {shown(weights)}; they must be one positive number, or one '
+                         f'for each of {known(names)}')
+    return _read_only(np.full(len(names), 1.0) * given)
 
 
 def _checked_tips(tip_frame: str, tips: Sequence[str]) -> tuple[str, ...]:
