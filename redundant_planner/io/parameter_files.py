@@ -69,6 +69,23 @@ class RobotParameters:
     tips: tuple[str, ...] = parameter(
         (), description='Such links of a body with several arms, instead of tip_frame. Each has '
                         'topics of its own, TIP/cmd_vel and TIP/target_pose.')
+    base: str = parameter(
+        '', choices=('', 'holonomic'),
+        description='What carries the arm: nothing that moves, or a base that moves in any '
+                    'direction of the plane. Its place comes in by odom, its twist goes out by '
+                    'base_cmd_vel, and commands and obstacles are given in the frame odom.')
+    base_weight: float = parameter(
+        30.0, group='base', low=1e-3, high=1e6,
+        description='How unwilling the base is to move, beside 1 of each joint of the arm.')
+    base_speed: tuple[float, ...] = parameter(
+        (0.5, 1.0), group='base', low=1e-3, high=100.0, unit='m/s, rad/s',
+        description='Its limits of speed, linear and angular.')
+    base_acceleration: tuple[float, ...] = parameter(
+        (0.5, 1.0), group='base', low=1e-3, high=1e3, unit='m/s², rad/s²',
+        description='Its limits of acceleration, linear and angular.')
+    base_room: float = parameter(
+        5.0, group='base', low=0.1, high=1e3, unit='m',
+        description='How far along x and y it may go from where odom began.')
     mount_frame: str = parameter(
         '', description='Frame in which the base stands at mount_pose, and in which commands and '
                         'obstacles are given then: that of a cell, or of several arms. Empty: '
@@ -123,6 +140,14 @@ class RobotParameters:
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""
         check(self)
+        for name in ('base_speed', 'base_acceleration'):
+            if len(getattr(self, name)) != 2:
+                raise ParameterError(f"parameter '{name.replace('_', '.')}' has "
+                                     f'{len(getattr(self, name))} numbers; it takes two, linear '
+                                     'and angular')
+        if self.base and self.mount_frame:
+            raise ParameterError("parameter 'mount_frame' is set, and 'base', too: what stands on "
+                                 'a base stands nowhere else; leave one of them empty')
         for entry in self.locked_joints:
             name, _, position = entry.partition('=')
             if entry != OTHERS_MEASURED and not (name and is_number(position)):

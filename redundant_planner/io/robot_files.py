@@ -26,6 +26,7 @@ from redundant_planner.core.robot.urdf import Joint, read_urdf
 from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import links_without_shape
 from redundant_planner.io.link_shapes import capsule_entry, fitted_capsules, larger_than_the_rest
+from redundant_planner.io.mobile_base import ODOM, on_base, with_base
 from redundant_planner.io.mount import base_of, mounted
 from redundant_planner.io.parameter_files import (
     check_keys,
@@ -40,6 +41,8 @@ from redundant_planner.io.parameter_files import (
 from redundant_planner.io.resources import panda_urdf, resolve, share_directory
 from redundant_planner.io.xacro_files import urdf_in
 
+# Jerk limits of a base, as a multiple of its acceleration limits [1/s].
+_BASE_JERK = 20.0
 # What forks after this many joints is a hand.
 _ARM_JOINTS = 6
 
@@ -198,16 +201,30 @@ def build_robot(
     if not (p.tip_frame or p.tips):
         raise ParameterError("parameter 'tip_frame' is empty; name the URDF link that is the "
                              "end effector, or several with 'tips'")
-    urdf = mounted(urdf, p.mount_frame, p.mount_pose)
-    base_frame = base_of(urdf, p.mount_frame, p.base_frame)
+    urdf = on_base(mounted(urdf, p.mount_frame, p.mount_pose), p)
+    base_frame = ODOM if p.base else base_of(urdf, p.mount_frame, p.base_frame)
+    given = {'velocity_max': p.velocity_max, 'acceleration_max': p.acceleration_max,
+             'jerk_max': p.jerk_max}
+    limits: dict[str, tuple[float, ...]] = {'velocity_max': (1.0,)} if p.base else given
 
     def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
         return Robot(
             urdf, p.tip_frame, tips=p.tips, base_frame=base_frame, locked_positions=p.locked,
             axes=p.axes, command_frame=p.command_frame, position_limits=p.position_ranges,
-            velocity_max=p.velocity_max or None, acceleration_max=p.acceleration_max or None,
-            jerk_max=p.jerk_max or None, capsules=shapes, link_radius=p.link_radius)
+            **{name: values or None for name, values in limits.items()},
+            capsules=shapes, link_radius=p.link_radius)
 
+    if p.base:
+        # What is given for the arm's joints is not meant for the base's.
+        count = robot_with([]).n
+        speed, turning = p.base_speed
+        acceleration, turning_acceleration = p.base_acceleration
+        accelerations = (acceleration, acceleration, turning_acceleration)
+        of_base = {'velocity_max': (speed, speed, turning), 'acceleration_max': accelerations,
+                   'jerk_max': tuple(_BASE_JERK * value for value in accelerations)}
+        limits = {name: with_base(values, of_base[name], count) if values else ()
+                  for name, values in given.items()}
+        limits['weights'] = with_base((1.0,), (p.base_weight,) * 3, count)
     if p.capsules:
         return _looked_at(
             robot_with([_capsule(name, capsules.get(name, {})) for name in p.capsules]), warn)

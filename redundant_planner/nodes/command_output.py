@@ -7,15 +7,18 @@ from collections.abc import Sequence
 import time
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Twist
 import numpy as np
 import numpy.typing as npt
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from redundant_planner.core.safety.following import LAG
+from redundant_planner.io.mobile_base import BASE_CMD_VEL, BASE_JOINTS, own_twist
 from redundant_planner.io.node_parameters import (
     JOINT_COMMAND,
     JOINT_TRAJECTORY,
@@ -65,13 +68,18 @@ class CommandOutput:
         self._heard: set[str] = set()  # outputs that have had a listener
         self._publisher = node.create_publisher(JointState, JOINT_COMMAND, 10)
         self._writer = JointWriter(joint_names)
+        # A base has a controller of its own.
+        self._base = node.create_publisher(Twist, BASE_CMD_VEL, 10) if (
+            tuple(joint_names[:len(BASE_JOINTS)]) == BASE_JOINTS) else None
+        self._first = 0 if self._base is None else len(BASE_JOINTS)
         self._others = {
             name: node.create_publisher(
                 JointTrajectory if name == JOINT_TRAJECTORY else Float64MultiArray, name, 10)
             for name in outputs}
-        self._period, self._min, self._max = period, position_min, position_max
+        self._period = period
+        self._min, self._max = position_min[self._first:], position_max[self._first:]
         # Without a stamp a trajectory begins on arrival.
-        self._trajectory = JointTrajectory(joint_names=list(joint_names))
+        self._trajectory = JointTrajectory(joint_names=list(joint_names[self._first:]))
         self._trajectory.header.stamp = Time()
         self._due = Duration(seconds=_REACH * period).to_msg()
 
@@ -89,14 +97,18 @@ class CommandOutput:
         """
         counted = positions + turned
         self._publisher.publish(self._writer.message(stamp_ns, counted, velocities))
+        if self._base is not None:
+            self._base.publish(_twist_of(own_twist(velocities[:3], float(positions[2]))))
         if self.moved_at == np.inf and velocities.any():
             self.moved_at = time.monotonic()
+        arm = slice(self._first, None)
         for name, publisher in self._others.items():
             if name == JOINT_TRAJECTORY:
-                publisher.publish(self._trajectory_to(positions, velocities, turned))
+                publisher.publish(self._trajectory_to(
+                    positions[arm], velocities[arm], (counted - positions)[arm]))
             else:
                 publisher.publish(Float64MultiArray(data=_numbers(
-                    counted if name == POSITION_COMMANDS else velocities)))
+                    (counted if name == POSITION_COMMANDS else velocities)[arm])))
 
     def _trajectory_to(
         self, positions: Array, velocities: Array, turned: Array | float,
@@ -115,8 +127,12 @@ class CommandOutput:
 
     def listeners(self) -> dict[str, int]:
         """Return how many subscriptions have found the publisher of each output."""
-        return {name: int(publisher.get_subscription_count()) for name, publisher in (
-            (JOINT_COMMAND, self._publisher), *self._others.items())}
+        return {name: int(publisher.get_subscription_count())
+                for name, publisher in self._all().items()}
+
+    def _all(self) -> dict[str, Publisher]:
+        base = {} if self._base is None else {BASE_CMD_VEL: self._base}
+        return {JOINT_COMMAND: self._publisher, **self._others, **base}
 
     def unheard(self, patience: float = FOUND_WITHIN) -> str:
         """Return the sentence about outputs that nobody hears; empty if there are none.
@@ -134,11 +150,12 @@ class CommandOutput:
         listeners = self.listeners()
         self._heard.update(name for name, count in listeners.items() if count)
         return '; '.join(
-            self._sentence(name) for name in self._others or (JOINT_COMMAND,)
+            self._sentence(name) for name in (
+                *(self._others or (JOINT_COMMAND,)), *([BASE_CMD_VEL] if self._base else ()))
             if not listeners[name] and (name in self._heard or moving_for >= patience))
 
     def _sentence(self, name: str) -> str:
-        publisher = self._others.get(name, self._publisher)
+        publisher = self._all()[name]
         listener = 'driver' if name == JOINT_COMMAND else 'controller'
         left = ' any more' if name in self._heard else ''
         return (f'nobody listens to {name} on {publisher.topic_name}{left}: load the {listener}, '
@@ -147,9 +164,15 @@ class CommandOutput:
     def wait_until_heard(self, seconds: float) -> None:
         """Wait until reliable listeners have acknowledged the last command, or the time is up."""
         deadline = time.monotonic() + seconds
-        for publisher in (self._publisher, *self._others.values()):
+        for publisher in self._all().values():
             publisher.wait_for_all_acked(
                 Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+
+
+def _twist_of(twist: Array) -> Twist:
+    message = Twist()
+    message.linear.x, message.linear.y, message.angular.z = map(float, twist)
+    return message
 
 
 def _numbers(values: Array) -> array.array[float]:

@@ -35,6 +35,7 @@ from redundant_planner.nodes.guard import Guard, line_of
 from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.last_word import LastWord
 from redundant_planner.nodes.loop_clock import LoopClock
+from redundant_planner.nodes.messages import base_states
 from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.second_process import ACKNOWLEDGED, PAUSE, STOPS
@@ -156,6 +157,13 @@ class ControlLoop:
             self.supervisor.measured(self._joints.posture, self.now, which)
         else:
             self.supervisor.heard_others(self._joints.others)
+
+    def on_odometry(self, raw: bytes) -> None:
+        """Take a serialised Odometry: the positions of the base's joints."""
+        try:
+            self.on_joint_states(base_states(raw))
+        except StateError as error:
+            self._warn(f'odom ignored: {error}')
 
     def on_target(self, raw: bytes) -> None:
         """Take a serialised target_pose."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+import math
 import struct
 
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Twist
+from nav_msgs.msg import Odometry
 import numpy as np
 import numpy.typing as npt
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
@@ -25,11 +28,14 @@ from redundant_planner.core.obstacles.obstacle import (
     Obstacle,
 )
 from redundant_planner.io.cdr import byte_order, ENCAPSULATION, header_of
+from redundant_planner.io.mobile_base import BASE_JOINTS, ODOM, own_twist
 from redundant_planner.io.plausible import FASTEST, LARGEST
 
 Array = npt.NDArray[np.float64]
 
 NANOSECONDS = 1_000_000_000
+# How far the length of a quaternion may be from 1, and how far a base may lean.
+_UNIT, _UPRIGHT = 0.01, 0.02
 
 _MARKER_TYPES = {ELLIPSOID: Marker.SPHERE, BOX: Marker.CUBE, CYLINDER: Marker.CYLINDER,
                  CAPSULE: Marker.LINE_LIST}
@@ -50,6 +56,42 @@ def checked_twist(twist: Array) -> Array:
         raise StateError(f'twist is {twist.tolist()}; all six entries must be finite, up to '
                          f'{FASTEST:g} m/s and rad/s')
     return twist
+
+
+def base_states(raw: bytes) -> bytes:
+    """Return a serialised Odometry as a JointState of the base's joints.
+
+    Raises:
+        StateError: it is none, has numbers that are not finite, or the base leans.
+    """
+    try:
+        message = deserialize_message(bytes(raw), Odometry)
+    except Exception as error:
+        raise StateError(f'it cannot be read: {error}') from None
+    position, turned = message.pose.pose.position, message.pose.pose.orientation
+    x, y, z, w = turned.x, turned.y, turned.z, turned.w
+    if not np.isfinite((position.x, position.y, x, y, z, w)).all():
+        raise StateError('its pose has numbers that are not finite')
+    if not abs(np.linalg.norm((x, y, z, w)) - 1.0) < _UNIT or abs(x) + abs(y) > _UPRIGHT:
+        raise StateError(f'its orientation is {(x, y, z, w)}; it takes a unit quaternion about z')
+    yaw = 2.0 * math.atan2(z, w)
+    states = JointState(name=list(BASE_JOINTS), position=[position.x, position.y, yaw])
+    states.header.stamp = message.header.stamp
+    return bytes(serialize_message(states))
+
+
+def odometry_of(stamp_ns: int, q: Array, dq: Array) -> Odometry:
+    """Return where a base is and how it moves, from positions and rates (3,) of its joints."""
+    message = Odometry(child_frame_id='base')
+    message.header.frame_id = ODOM
+    message.header.stamp = Time(
+        sec=stamp_ns // NANOSECONDS, nanosec=stamp_ns % NANOSECONDS)
+    pose, twist = message.pose.pose, message.twist.twist
+    x, y, yaw = map(float, q)
+    pose.position.x, pose.position.y = x, y
+    pose.orientation.z, pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+    twist.linear.x, twist.linear.y, twist.angular.z = map(float, own_twist(dq, yaw))
+    return message
 
 
 def twist_from_bytes(raw: bytes) -> Array:

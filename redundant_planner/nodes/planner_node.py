@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
-from nav_msgs.msg import Path
+from nav_msgs.msg import Odometry, Path
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -23,6 +23,7 @@ from visualization_msgs.msg import MarkerArray
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.mobile_base import BASE_CMD_VEL
 from redundant_planner.io.node_parameters import (
     JOINT_COMMAND,
     JOINT_TRAJECTORY,
@@ -128,7 +129,8 @@ class PlannerNode(EndableNode):
         settings = self._settings.node
         outputs = [name for name in settings.outputs if name in NEVER_ENDING]
         return Brief(
-            self.get_name(), self.get_namespace(), self._topics((JOINT_COMMAND, *outputs)),
+            self.get_name(), self.get_namespace(),
+            self._topics((JOINT_COMMAND, BASE_CMD_VEL, *outputs)),
             outputs, robot.joint_names, robot.position_min.tolist(),
             robot.position_max.tolist(), robot.acceleration_max.tolist(),
             robot.jerk_max.tolist(), 1.0 / settings.rate, settings.thread_priority)
@@ -180,6 +182,9 @@ class PlannerNode(EndableNode):
              loop.on_joint_target),
             (PolledSubscription(self, JointTrajectory, 'target_trajectory', QoSProfile(depth=10)),
              loop.on_trajectory), *self._tip_inboxes(loop)]
+        if self._settings.robot.base:
+            loop.inboxes.append((PolledSubscription(self, Odometry, 'odom', _JOINT_STATES),
+                                 loop.on_odometry))
         if isinstance(loop.command, CommandInput):
             self.create_subscription(
                 MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)

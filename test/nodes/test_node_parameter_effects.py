@@ -126,6 +126,17 @@ def rise_of_the_tip(p: RobotParameters):
     return last - first
 
 
+def way_of_the_base(p: RobotParameters):
+    """Of a Panda's base in half a second, with a command for the tip [m]."""
+    arm = Robot.from_file(ROBOTS / 'panda.yaml', urdf=str(PANDA_URDF), **{
+        name: getattr(p, name) for name in (
+            'base', 'base_weight', 'base_speed', 'base_acceleration', 'base_room')})
+    start = np.concatenate((np.zeros(3), PANDA_READY))
+    motion = simulate(Planner(arm, PlannerParameters()), start, [0.5, 0.5, 0.0, 0, 0, 0],
+                      Scene.of(), 1.0, DT)
+    return np.linalg.norm(motion.positions[-1][:2])
+
+
 def number_of_joints(p: RobotParameters):
     return panda_of(p).n
 
@@ -284,6 +295,8 @@ def time_that_an_arm_may_stand(settings):
 
 
 MOUNTED = (('mount_frame', 'cell'),)
+ON_A_BASE = (('base', 'holonomic'),)
+DRIVES = (('base', 'holonomic'), ('base_weight', 0.1))
 FALLING = (('servo', 'off'),)
 HEAVY = (('mass_error', 0.3),)
 CASES = [
@@ -297,6 +310,11 @@ CASES = [
     Case(RobotParameters, 'axes', ('vx', 'vy', 'vz'), ('vx', 'vy', 'vz', 'wx', 'wy', 'wz'),
          least_norm_speed, '+'),
     Case(RobotParameters, 'command_frame', 'tool', 'base', rise_of_the_tip, '+'),
+    Case(RobotParameters, 'base_weight', 1.0, 30.0, way_of_the_base, '-', ON_A_BASE),
+    Case(RobotParameters, 'base_speed', (0.02, 1.0), (0.5, 1.0), way_of_the_base, '+', DRIVES),
+    Case(RobotParameters, 'base_acceleration', (0.02, 1.0), (0.5, 1.0), way_of_the_base, '+',
+         DRIVES),
+    Case(RobotParameters, 'base_room', 0.1, 5.0, way_of_the_base, '+', DRIVES),
     Case(RobotParameters, 'locked_joints', (), ('panda_joint3=0.0',), number_of_joints, '-'),
     Case(RobotParameters, 'mount_pose', (0.0, 0.0, 0.0), (0.0, 0.0, 0.5), height_of_the_tip, '+',
          MOUNTED),
@@ -338,7 +356,8 @@ CASES = [
 # Without more or less: what the nodes' live tests and those of io/ hold them to.
 NAMES_SOMETHING = {
     RobotParameters: {
-        'urdf', 'robot_description', 'base_frame', 'tip_frame', 'tips', 'mount_frame', 'capsules',
+        'urdf', 'robot_description', 'base_frame', 'tip_frame', 'tips', 'base', 'mount_frame',
+        'capsules',
         'link_shapes'},
     PlannerNodeParameters: {
         'rate', 'enable_stamped_cmd_vel', 'obstacle_topics', 'outputs', 'publish_ticks',
