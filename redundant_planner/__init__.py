@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from redundant_planner.core.planner import Planner
     from redundant_planner.core.robot.capsules import Capsule
     from redundant_planner.core.robot.se3 import Pose
-    from redundant_planner.core.step_result import StepResult
+    from redundant_planner.core.step_result import StepResult, TipResult
     from redundant_planner.core.target.chunk import Chunk
     from redundant_planner.core.target.moving_target import Sighting
     from redundant_planner.core.target.progress import Progress, TargetState
@@ -61,6 +61,7 @@ __all__ = [
     'StateError',
     'StepResult',
     'TargetState',
+    'TipResult',
     'simulate',
 ]
 
@@ -74,7 +75,7 @@ _MODULES = {
     'core.planner': ('Planner',),
     'core.robot.capsules': ('Capsule',),
     'core.robot.se3': ('Pose',),
-    'core.step_result': ('StepResult',),
+    'core.step_result': ('StepResult', 'TipResult'),
     'core.target.chunk': ('Chunk',),
     'core.target.moving_target': ('Sighting',),
     'core.target.progress': ('Progress', 'TargetState'),
