@@ -272,7 +272,10 @@ class ControlLoop:
             self._warn(decision.warning)
         if decision.hold:
             self._forget_target(decision.hold)
-            self._brake()
+            if self._coupled and decision.hold == PAUSED and self.velocity.any():
+                self._move(decision.hold)  # what the hands hold stays whole on the way to rest
+            else:
+                self._brake()
         else:
             self._move(decision.ignore_command)
         return decision

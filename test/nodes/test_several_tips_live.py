@@ -63,8 +63,8 @@ def ros():
         yield ros
 
 
-def drive(ros, seconds, **twists):
-    """Send twists (6,) on topics of tips for some time."""
+def publisher(ros, **twists):
+    """Return what sends twists (6,) on topics of tips."""
     def publish():
         for tip, twist in twists.items():
             message = Twist()
@@ -72,9 +72,17 @@ def drive(ros, seconds, **twists):
              message.angular.y, message.angular.z) = map(float, twist)
             ros.twists[tip].publish(message)
 
+    return publish
+
+
+def drive(ros, seconds, *, moves=True, **twists):
+    """Send twists (6,) on topics of tips for some time, once they move the arm."""
+    publish = publisher(ros, **twists)
+    if moves:
+        ros.wait_for(ros.moves, 'motion', meanwhile=publish)
     end = time.monotonic() + seconds
     ros.wait_for(lambda: time.monotonic() > end, 'the end of a drive', meanwhile=publish)
-    ros.wait_for(ros.at_rest, 'rest')
+    ros.wait_for(ros.at_rest if moves else ros.stops, 'rest')
 
 
 def hands(ros):
@@ -124,8 +132,18 @@ def test_two_hands_by_topics_and_again_from_the_bag(ros, tmp_path):
     drive(ros, 1.0, object=(0.02, 0.0, 0.04, 0.1, 0.0, 0.0))
     assert np.abs(relative(hands(ros)) - held).max() < 3e-4
     assert hands(ros)[0].position[2] - goals[LEFT][2] > 0.02
+    # A pause brings it to rest as a whole.
+    keep_on = publisher(ros, object=(0.0, 0.0, -0.05, 0.0, 0.1, 0.0))
+    ros.wait_for(lambda: np.abs(ros.commands[-1].velocity).max() > 0.05, 'motion',
+                 meanwhile=keep_on)
+    assert ros.call(SetBool, 'pause', SetBool.Request(data=True), meanwhile=keep_on).success
+    ros.wait_for(ros.stops, 'a stop')
+    late = time.monotonic() + 0.3
+    ros.wait_for(lambda: time.monotonic() > late, 'the end of twists on their way')
+    assert np.abs(relative(hands(ros)) - held).max() < 3e-4
+    assert ros.call(SetBool, 'pause', SetBool.Request(data=False)).success
     there = hands(ros)
-    drive(ros, 0.3, left_hand=(0.0, 0.0, 0.1, 0, 0, 0))
+    drive(ros, 0.3, moves=False, left_hand=(0.0, 0.0, 0.1, 0, 0, 0))
     assert np.abs(hands(ros)[0].position - there[0].position).max() < 1e-4
     ros.wait_for(lambda: any('cmd_vel ignored: the tips are coupled' in said
                              for said in ros.said), 'a word about that')
