@@ -67,10 +67,11 @@ def openings_of(robot: Robot, held: Mapping[str, float]) -> Openings:
     """
     described = {joint.name: joint for joint in read_urdf(robot.urdf).joints}
     above = {joint.child: joint for joint in described.values()}
-    chain, hand = set(robot.joint_names), robot.joint_names[-1]
+    chain = set(robot.joint_names)
+    hands = {robot.model.names[int(joint)] for joint in robot.chain.tip_joints}
     moves: dict[str, list[Joint]] = {}
     for link, carrier in robot.moving_links.items():
-        if carrier == hand:
+        if carrier in hands:
             at, path = link, []
             while at in above and above[at].name not in chain:
                 path.append(above[at])
@@ -86,7 +87,7 @@ def openings_of(robot: Robot, held: Mapping[str, float]) -> Openings:
         return Openings((), frozenset(), (robot,))
     turns = any(joint.kind != 'prismatic' for path in moves.values() for joint in path)
     return Openings(joints, links, tuple(
-        Robot(robot.urdf, robot.tip_frame, base_frame=robot.base_frame,
+        Robot(robot.urdf, tips=robot.tips, base_frame=robot.base_frame,
               locked_positions={**held, **{
                   name: float((1.0 - share) * described[name].lower
                               + share * described[name].upper) for name in joints}},
