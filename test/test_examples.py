@@ -91,6 +91,16 @@ def test_the_tool_goes_to_a_pose(tmp_path):
     assert seconds < 2.0 and numbers(r'off by ([\d.]+) mm', text)[0] < 0.3
 
 
+def test_two_hands_go_their_ways_and_hold_an_object(tmp_path):
+    text = run('09_two_hands.py', tmp_path)
+    (seconds,) = numbers(r'both hands are there after ([\d.]+) s', text)
+    assert seconds < 3.0
+    assert numbers(r'rose by ([\d.]+) mm', text)[0] == pytest.approx(150.0, abs=1.0)
+    assert numbers(r'between the hands it moved by ([\d.]+) mm', text)[0] < 0.2
+    assert numbers(r'left hand moves by ([\d.]+)', text)[0] > 10.0
+    assert numbers(r'right one by ([\d.]+)', text)[0] < 0.5
+
+
 @pytest.mark.long
 def test_the_chunks_of_a_policy_are_followed_without_a_jump(tmp_path):
     text = run('08_policy_chunks.py', tmp_path)

@@ -218,7 +218,7 @@ def robot_picture(
         for capsule, start, end in zip(robot.capsules, arm.segment_start, arm.segment_end):
             axes.plot_wireframe(*np.moveaxis(capsule_surface(start, end, capsule.radius), -1, 0),
                                 color=ARM_COLOR, linewidth=0.4, alpha=0.5)
-        for origin, rotation in ((np.zeros(3), np.eye(3)), (arm.tip_position, arm.tip_rotation)):
+        for origin, rotation in ((np.zeros(3), np.eye(3)), *arm.tips.each):
             for axis, color in zip(rotation.T, ('red', 'green', 'blue')):
                 axes.plot(*np.array((origin, origin + 0.12 * axis)).T, color=color, linewidth=2.0)
         set_equal_axes(axes, extent)

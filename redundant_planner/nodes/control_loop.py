@@ -16,7 +16,7 @@ from redundant_planner.core.errors import ObstacleError, StateError
 from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.redundancy.coupling import Coupling
-from redundant_planner.core.robot.se3 import Poses
+from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.safety.following import Following
 from redundant_planner.core.safety.jerk import SmoothStop
 from redundant_planner.core.safety.position_command import PositionCommand
@@ -47,7 +47,8 @@ from redundant_planner.nodes.supervisor import (
     PAUSED,
     Supervisor,
 )
-from redundant_planner.nodes.tip_commands import OBJECT, TipCommands
+from redundant_planner.nodes.tip_commands import TipCommands
+from redundant_planner.nodes.tip_topics import OBJECT
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
 Array = npt.NDArray[np.float64]
@@ -371,6 +372,14 @@ class ControlLoop:
         self.command.coupled = wanted
         return True, (f'{" and ".join(robot.tips)} hold one object: move it by {OBJECT}/cmd_vel '
                       f'and {OBJECT}/target_pose' if wanted else 'each tip moves on its own')
+
+    @property
+    def object_pose(self) -> Pose | None:
+        """Where what the tips hold is in the base frame; None while they hold nothing."""
+        posture, planner = self.supervisor.posture, self.planner
+        if not isinstance(planner, Planner) or planner.coupling is None or posture is None:
+            return None
+        return planner.coupling.object_pose(self._robot.kinematics(posture).tips.first)
 
     @property
     def _coupled(self) -> bool:

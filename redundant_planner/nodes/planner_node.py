@@ -53,7 +53,8 @@ from redundant_planner.nodes.settings import Settings
 from redundant_planner.nodes.startup import Startup
 from redundant_planner.nodes.throttled_log import ThrottledLog
 from redundant_planner.nodes.tick_phase import delay_to_middle
-from redundant_planner.nodes.tip_commands import OBJECT, TipCommands
+from redundant_planner.nodes.tip_commands import TipCommands
+from redundant_planner.nodes.tip_topics import OBJECT
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
@@ -69,7 +70,7 @@ _HEARD_WITHIN = 2.0
 _CONFIGURATION_PAUSE = 0.25
 # Period of /diagnostics and of ~/markers [s].
 _REPORT_PERIOD = 0.2
-# Period of ~/target while there is a target [s].
+# Period of ~/target while there is a target, and of the pose of what tips hold together [s].
 _PROGRESS_PERIOD = 0.05
 # A subscription that each tick fetches, and who takes its messages.
 Inbox = tuple[PolledSubscription, Callable[[bytes], None]]
@@ -244,6 +245,7 @@ class PlannerNode(EndableNode):
         self._chores.add(_REPORT_PERIOD, reports.publish_diagnostics)
         self._chores.add(_REPORT_PERIOD, reports.publish_markers)
         self._chores.add(_PROGRESS_PERIOD, reports.publish_progress)
+        self._chores.add(_PROGRESS_PERIOD, reports.publish_object)
         return reports
 
     def _run(self, loop: ControlLoop) -> None:

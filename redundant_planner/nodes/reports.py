@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -16,9 +17,11 @@ from redundant_planner.io.software_version import with_version
 from redundant_planner.nodes.body_writer import BodyWriter
 from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.endable_node import EndableNode
+from redundant_planner.nodes.pose_messages import pose_to_message
 from redundant_planner.nodes.robot_markers import RobotMarkers
 from redundant_planner.nodes.settings import Settings
 from redundant_planner.nodes.state_report import diagnostics, progress_status, status_of
+from redundant_planner.nodes.tip_topics import OBJECT_POSE
 from redundant_planner.paper.method import PaperPlanner
 
 
@@ -48,6 +51,8 @@ class Reports:
         self._body = node.create_publisher(MarkerArray, '~/body', 1)
         self._body_writer = self._body_of(self._robot)
         self._known_target: Target | TipTargets | None = None
+        self._object = (node.create_publisher(PoseStamped, OBJECT_POSE, 1)
+                        if len(self._robot.tips) > 1 else None)
 
     def publish_configuration(self) -> None:
         """Publish all parameters if they have changed, so that a bag explains itself."""
@@ -89,6 +94,14 @@ class Reports:
                 self._node.get_fully_qualified_name(), self._robot, told, state.result,
                 state.astray if target is None else ''),
             self._node.get_clock().now().to_msg()))
+
+    def publish_object(self) -> None:
+        """Publish where what the tips hold together is, while they do."""
+        pose = None if self._object is None else self._loop.object_pose
+        if self._object is not None and pose is not None:
+            message = pose_to_message(pose, self._robot.base_frame)
+            message.header.stamp = self._node.get_clock().now().to_msg()
+            self._object.publish(message)
 
     def publish_body(self) -> None:
         """Publish where the arm's links are and how fast they move, if somebody listens."""

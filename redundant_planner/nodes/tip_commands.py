@@ -13,11 +13,9 @@ from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.nodes.command_input import CommandInput
+from redundant_planner.nodes.tip_topics import OBJECT
 
 Array = npt.NDArray[np.float64]
-
-# What coupled tips hold: the name of its topics and of its frame.
-OBJECT = 'object'
 
 
 class TipCommands:

@@ -26,9 +26,14 @@ import numpy as np
 import numpy.typing as npt
 import rclpy
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
 
-from redundant_planner.nodes.runtime import keep_off_shared_memory
+from redundant_planner.core.errors import StateError
+from redundant_planner.io.recorded_configuration import configuration_of
+from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
+from redundant_planner.nodes.tip_topics import OBJECT, topic_of
 
 Array = npt.NDArray[np.float64]
 
@@ -98,12 +103,54 @@ def message_of(twist: Array) -> Twist:
     return message
 
 
-def _drive(node: Node, held: Held, descriptor: int) -> None:
-    """Publish what the keys ask for until q: twists while one is held, and one zero after it."""
-    publisher, moved = node.create_publisher(Twist, 'cmd_vel', 1), False
+class _Output:
+    """The topic of a tip's twists: the planner says which, as soon as it is heard."""
+
+    def __init__(self, node: Node, planner: str, tip: str) -> None:
+        """Publish for a tip, or for the only one, of a planner's node."""
+        self._node, self._tip = node, tip
+        self._heard: list[str] | None = []
+        self.publisher = node.create_publisher(Twist, f'{tip}/cmd_vel' if tip else 'cmd_vel', 1)
+        node.create_subscription(
+            String, f'{planner}/configuration', self._on_configuration,
+            QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        self._executor = best_executor(node.context)
+        self._executor.add_node(node)
+
+    def _on_configuration(self, message: String) -> None:
+        if self._heard is not None:
+            self._heard.append(message.data)
+
+    def look(self) -> None:
+        """Find out whether the planner has this tip.
+
+        Raises:
+            StateError: it does not, or has several of which none is named.
+        """
+        if self._heard is None:
+            return
+        spin_once(self._executor, 0.0)
+        for text in self._heard:
+            self._heard = None
+            values = configuration_of(text, [])
+            tips = values.get('tips') or [values.get('tip_frame') or self._tip]
+            topic = topic_of(self._tip, 'cmd_vel', tips)
+            if self._node.resolve_topic_name(topic) != self.publisher.topic_name:
+                self.publisher = self._node.create_publisher(Twist, topic, 1)
+            break
+
+
+def _drive(output: _Output, held: Held, descriptor: int) -> None:
+    """Publish what the keys ask for until q: twists while one is held, and one zero after it.
+
+    Raises:
+        StateError: the planner has no such tip, or several of which none is named.
+    """
+    moved = False
     try:
         while True:
             ready, _, _ = select.select([descriptor], [], [], _PERIOD)
+            output.look()
             now = time.monotonic()
             if ready:
                 keys = os.read(descriptor, 64).decode(errors='ignore')
@@ -113,17 +160,17 @@ def _drive(node: Node, held: Held, descriptor: int) -> None:
             twist = held.twist(now)
             moves = bool(twist.any())
             if moves or moved:
-                publisher.publish(message_of(twist))
+                output.publisher.publish(message_of(twist))
             if moves != moved or ready:
-                heard = publisher.get_subscription_count()
+                heard = output.publisher.get_subscription_count()
                 print(f'\r\x1b[K{held.speed:.2f} m/s, {_TURNS * held.speed:.2f} rad/s; '
                       + ('moving' if moves else 'at rest')
-                      + ('' if heard else f'; nobody listens to {publisher.topic_name}'),
+                      + ('' if heard else f'; nobody listens to {output.publisher.topic_name}'),
                       end='', flush=True)
             moved = moves
     finally:
         if moved:
-            publisher.publish(message_of(np.zeros(6)))
+            output.publisher.publish(message_of(np.zeros(6)))
 
 
 def main(args: list[str] | None = None) -> int:
@@ -133,6 +180,10 @@ def main(args: list[str] | None = None) -> int:
         epilog='ROS arguments (--ros-args -r __ns:=/left …) may follow.')
     parser.add_argument('--speed', type=float, default=0.1, metavar='M/S',
                         help='to begin with (%(default)s)')
+    parser.add_argument('--tip', default='', metavar='NAME',
+                        help=f"which of several tips, or '{OBJECT}' for what they hold together")
+    parser.add_argument('--planner', default='planner_node',
+                        help="name of the planner's node, which knows its tips")
     given = sys.argv[1:] if args is None else args
     ros = given.index('--ros-args') if '--ros-args' in given else len(given)
     options = parser.parse_args(given[:ros])
@@ -144,10 +195,14 @@ def main(args: list[str] | None = None) -> int:
     keep_off_shared_memory()
     rclpy.init(args=['drive', *given[ros:]], signal_handler_options=SignalHandlerOptions.NO)
     node = Node('drive', enable_rosout=False, start_parameter_services=False)
-    print(str(__doc__).split('\n\n')[1])
     try:
+        output = _Output(node, options.planner, options.tip)
+        print(str(__doc__).split('\n\n')[1])
         with _keys_as_they_come(sys.stdin.fileno()):
-            _drive(node, Held(options.speed), sys.stdin.fileno())
+            _drive(output, Held(options.speed), sys.stdin.fileno())
+    except StateError as error:
+        print(f'\ndrive: {error}', file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         pass
     finally:

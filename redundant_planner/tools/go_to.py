@@ -17,6 +17,7 @@ import numpy.typing as npt
 import pinocchio as pin
 import rclpy
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
@@ -29,7 +30,6 @@ from std_srvs.srv import SetBool
 from redundant_planner.core.errors import known, PlannerError, StateError
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.goal import checked_goal, Goal
 from redundant_planner.core.target.progress import TargetState
@@ -38,9 +38,11 @@ from redundant_planner.io.printable import printable
 from redundant_planner.io.recorded_configuration import configuration_of
 from redundant_planner.io.robot_files import robot_of_values
 from redundant_planner.nodes.joint_messages import JointReader
+from redundant_planner.nodes.pose_messages import pose_of_message, pose_to_message
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
 from redundant_planner.nodes.state_report import DOES_NOT_FOLLOW, TARGET
 from redundant_planner.nodes.supervisor import PAUSED_ALREADY
+from redundant_planner.nodes.tip_topics import OBJECT, OBJECT_POSE, topic_of
 
 Array = npt.NDArray[np.float64]
 
@@ -76,11 +78,12 @@ _LEFT = ('distance [m]', 'angle [rad]', 'farthest joint [rad, m]')
 class _Client:
     """A node that sends targets to a planner, and hears what becomes of them."""
 
-    def __init__(self, planner: str) -> None:
+    def __init__(self, planner: str, tip: str = '') -> None:
         """Look for a planner's topics.
 
         Args:
             planner: name of its node.
+            tip: that targets are for, or `OBJECT`; empty for the only one.
         """
         self.node = Node('go_to', enable_rosout=False, start_parameter_services=False)
         self.configuration = ''
@@ -89,7 +92,6 @@ class _Client:
         self.status: DiagnosticStatus | None = None
         self.heard = -np.inf  # when the status came [s]
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.target = self.node.create_publisher(PoseStamped, 'target_pose', 1)
         self.joint_target = self.node.create_publisher(JointState, 'target_joints', 1)
         self.pause = self.node.create_client(SetBool, f'{planner}/pause')
         self.node.create_subscription(
@@ -103,6 +105,9 @@ class _Client:
         self._planner = planner
         self._sent: Goal | None = None
         self._names: tuple[str, ...] = ()
+        self._tip, self._tips = tip, 0
+        self._target: Publisher | None = None
+        self.held: Pose | None = None  # where the object is, once it was heard
 
     def _on_configuration(self, message: String) -> None:
         self.configuration = message.data
@@ -151,47 +156,76 @@ class _Client:
                     f'{_PATIENCE:g} s; {_REMAPPED} {topic}:=…')
             self.spin()
 
-    def arm(self) -> tuple[Robot, Array]:
+    def arm(self, *, joints: bool) -> tuple[Robot, Array]:
         """Return the planner's robot, and its posture (n,) now.
 
+        Args:
+            joints: whether targets will be of the joints, and not of a tip.
+
         Raises:
-            PlannerError: the planner or the arm is not there.
+            PlannerError: the planner, its tip or the arm is not there.
         """
         self.wait_for(lambda: self.configuration, 'configuration of a planner')
-        for publisher, topic in ((self.target, 'target_pose'),
-                                 (self.joint_target, 'target_joints')):
-            self.wait_for(publisher.get_subscription_count, 'listener', topic)
         notes: list[str] = []
         values = configuration_of(self.configuration, notes)
         if not values:
             raise StateError(f"the planner's configuration is unusable: {'; '.join(notes)}")
         robot = robot_of_values(values)
+        self._listen_for(robot, joints=joints)
         reader = self._reader = JointReader(robot.joint_names, Seams.of(robot))
         self._speeds = np.zeros(robot.n)
         self.wait_for(lambda: not reader.missing,
                       lambda: f'joint_states of {known(reader.missing)}', 'joint_states')
+        if self._tip == OBJECT and not joints:
+            self.wait_for(lambda: self.held is not None,
+                          'pose of what the tips hold, which takes ~/couple,', OBJECT_POSE)
         return robot, reader.posture
+
+    def _listen_for(self, robot: Robot, *, joints: bool) -> None:
+        """Make sure that the planner hears targets.
+
+        Raises:
+            StateError: it does not, or has no such tip.
+        """
+        self._tips, topic = len(robot.tips), 'target_joints'
+        publisher = self.joint_target
+        if self._tips > 1:
+            self.node.create_subscription(PoseStamped, OBJECT_POSE, self._on_object, 1)
+        if not joints:
+            topic = topic_of(self._tip, 'target_pose', robot.tips)
+            publisher = self._target = self.node.create_publisher(PoseStamped, topic, 1)
+        self.wait_for(publisher.get_subscription_count, 'listener', topic)
+
+    def _on_object(self, message: PoseStamped) -> None:
+        self.held = pose_of_message(message)
+
+    def has_word(self) -> bool:
+        """Return whether the planner has spoken of the target.
+
+        Raises:
+            StateError: it never will: what the tips hold does not let them move.
+        """
+        if self.held is not None and self._tip != OBJECT:
+            raise StateError(f'the tips hold one object together: move it with --tip {OBJECT}, '
+                             'or let go (~/couple with false)')
+        return self.status is not None
 
     def send(self, target: Goal, robot: Robot) -> None:
         """Publish a target."""
         self._sent, self._names = target, robot.joint_names
         if isinstance(target, Pose):
-            self._send_pose(target, robot.base_frame)
+            assert self._target is not None, 'a planner that was asked for a tip has it'
+            self._target.publish(pose_to_message(target, robot.base_frame))
         else:
             self.joint_target.publish(
                 JointState(name=list(robot.joint_names), position=target.tolist()))
 
-    def _send_pose(self, pose: Pose, frame: str) -> None:
-        message = PoseStamped()
-        message.header.frame_id = frame
-        place, turn = message.pose.position, message.pose.orientation
-        place.x, place.y, place.z = pose.position.tolist()
-        turn.x, turn.y, turn.z, turn.w = quaternion_of(pose.rotation).tolist()
-        self.target.publish(message)
-
     def is_of(self, status: DiagnosticStatus, target: Goal) -> bool:
         """Return whether a status is of a target."""
-        words = _values(status).get(TARGET, '').split()
+        text = _values(status).get(TARGET, '')
+        if self._tips > 1 and isinstance(target, Pose) and self._tip != OBJECT:
+            text = text_of_tip(text, self._tip)
+        words = text.split()
         if not isinstance(target, Pose):
             named = [word.rpartition('=') for word in words]
             return tuple(name for name, _, _ in named) == self._names and bool(
@@ -232,6 +266,12 @@ class _Client:
         while not answer.done() and time.monotonic() < until:
             self.spin()
         return str(answer.result().message) if answer.done() else None
+
+
+def text_of_tip(text: str, tip: str) -> str:
+    """Return a tip's part of what ~/target says of targets of tips; empty if it has none."""
+    parts = (part.partition(': ') for part in text.split('; '))
+    return next((pose for name, _, pose in parts if name == tip), '')
 
 
 def target_of(
@@ -297,7 +337,7 @@ def follow(client: _Client, target: Goal, console: Console) -> str:
     Raises:
         StateError: the planner says nothing of the target, or nothing more.
     """
-    client.wait_for(lambda: client.status is not None and client.status.values,
+    client.wait_for(lambda: client.has_word() and client.status and client.status.values,
                     'word of the target on ~/target')
     first = _left(client.status)
     stuck_since, is_said = None, False
@@ -361,11 +401,15 @@ def _shown(values: dict[str, str], target: Goal) -> str:
     return f'farthest joint {joint:.3f} rad or m'
 
 
-def _target_of(options: argparse.Namespace, robot: Robot, q: Array) -> Goal:
+def _target_of(
+    options: argparse.Namespace, robot: Robot, q: Array, held: Pose | None,
+) -> Goal:
+    """Return where to go from a posture (n,), and from where what the tips hold is."""
     if options.joints is not None:
         return joint_target_of(robot, q, options.joints, options.relative)
-    arm = robot.kinematics(q)
-    tip = Pose(arm.tip_position, arm.tip_rotation)
+    tip = held
+    if options.tip != OBJECT or tip is None:
+        tip = dict(zip(robot.tips, robot.kinematics(q).tips.each))[options.tip or robot.tip_frame]
     return target_of(tip, options.position, options.rpy, options.relative)
 
 
@@ -391,6 +435,10 @@ def main(args: list[str] | None = None) -> int:
                         help='joint positions instead [rad, m]; left out: as they are')
     parser.add_argument('--relative', action='store_true',
                         help='all are given from where the arm is; of the tip, in its own axes')
+    parser.add_argument('--tip', default='', metavar='NAME',
+                        help=f"which of several tips, or '{OBJECT}' for what they hold together")
+    parser.add_argument('--object', action='store_const', dest='tip', const=OBJECT,
+                        help=f'the same as --tip {OBJECT}')
     parser.add_argument('--wait', action='store_true',
                         help='show a progress bar until the arm is there; Ctrl-C stops the arm')
     parser.add_argument('--planner', default='planner_node', help="name of the planner's node")
@@ -400,19 +448,21 @@ def main(args: list[str] | None = None) -> int:
     of_tip = options.position is not None or options.rpy is not None
     if of_tip == (options.joints is not None):
         parser.error('give --position, --rpy or both, or else --joints')
+    if options.tip and not of_tip:
+        parser.error('--joints are of the whole body: leave --tip away')
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     console = Console(markup=False, emoji=False, highlight=False)
     client = None
     try:
         keep_off_shared_memory()
         rclpy.init(args=['go_to', *given[ros:]], signal_handler_options=SignalHandlerOptions.NO)
-        client = _Client(options.planner)
-        robot, q = client.arm()
-        target = _target_of(options, robot, q)
+        client = _Client(options.planner, options.tip)
+        robot, q = client.arm(joints=not of_tip)
+        target = _target_of(options, robot, q, client.held)
         client.send(target, robot)
         if not options.wait:
             # Until it is heard: a publisher that is gone takes its message along.
-            client.wait_for(lambda: client.status is not None, 'word of the target on ~/target')
+            client.wait_for(client.has_word, 'word of the target on ~/target')
             return 0
         state = follow(client, target, console)
         if state == TargetState.REACHED.value:

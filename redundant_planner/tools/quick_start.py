@@ -43,6 +43,7 @@ from redundant_planner.tools.show_robot import (
     draw,
     parameter_file,
     said_of_limits,
+    several_tips,
 )
 
 _ARM, _PLANNER = 'fake_hardware_node', 'planner_node'
@@ -136,14 +137,18 @@ def prepared(
     urdf = expanded(options.urdf, options.xacro_args, options.out)
     stem = Path(urdf).stem
     file, picture = (options.out / f'{stem}.{kind}' for kind in ('yaml', 'png'))
-    described = described_by_urdf(urdf, options.tip, options.base, lambda _: None)
+    if options.tip and options.tips:
+        raise PlannerError('give --tip or --tips, not both')
+    described = described_by_urdf(
+        urdf, options.tip, options.base, lambda _: None, options.tips)
     is_kept = file.exists() and not options.overwrite
     if is_kept:
         wanted, described = described.parameters, described_by_file(file)
         found = described.parameters
+        tips = ' '.join(found.tips) or found.tip_frame
         for what, asked, there in (
                 ('URDF', wanted.urdf, found.urdf),
-                ('tip', options.tip or found.tip_frame, found.tip_frame),
+                ('tip', options.tip or ' '.join(options.tips) or tips, tips),
                 ('base', options.base or found.base_frame, found.base_frame)):
             if asked != there:
                 raise PlannerError(
@@ -154,7 +159,9 @@ def prepared(
                 Path(found.urdf).stat().st_mtime > file.stat().st_mtime):
             warn(f'{found.urdf} is newer than {file}')
     else:
-        described = described_by_urdf(urdf, options.tip, options.base, warn)
+        if not (options.tip or options.tips) and (sentence := several_tips(urdf)):
+            warn(sentence)
+        described = described_by_urdf(urdf, options.tip, options.base, warn, options.tips)
         say('fitting capsules to the collision geometry')
     arm = arm_of(described, warn)
     if not is_kept:
@@ -169,13 +176,18 @@ def prepared(
     return arm, file, bool(described.start) or not is_kept
 
 
-def next_steps(domain: int, drive: Sequence[str], go_to: Sequence[str]) -> str:
+def next_steps(
+    domain: int, drive: Sequence[str], go_to: Sequence[str], tips: Sequence[str] = (),
+) -> str:
     """Return what to type in another terminal.
 
     Args:
         domain: the ROS domain.
         drive, go_to: how the commands are called here.
+        tips: of a body with several.
     """
+    if tips:
+        drive, go_to = ([*command, '--tip', tips[0]] for command in (drive, go_to))
     there = f'ROS_DOMAIN_ID={domain} ' if domain else ''
     return '\n'.join((
         'In another terminal, move the tip by keys:', '',
@@ -223,7 +235,7 @@ class _Nodes(Processes):
 
 def _run(
     file: Path, values: Mapping[str, object], station: _Station, domain: int,
-    say: Callable[[str], object],
+    say: Callable[[str], object], tips: Sequence[str],
 ) -> None:
     """Run arm and planner until Ctrl-C.
 
@@ -233,6 +245,7 @@ def _run(
         station: that is about to close.
         domain: the ROS domain.
         say: takes what the user is to read.
+        tips: of a body with several.
 
     Raises:
         LiveError: one of them ended, or the planner is not ready in time.
@@ -252,7 +265,7 @@ def _run(
                     nodes.start(_ARM, [file], values, name=_ARM)
                     is_started = True
             station.close()
-            say(next_steps(domain, *map(_called_here, ('drive', 'go_to'))))
+            say(next_steps(domain, _called_here('drive'), _called_here('go_to'), tips))
             while True:
                 nodes.check()
                 time.sleep(_LOOK)
@@ -274,6 +287,8 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--tip', default='',
                         help='link that is the end effector; the end of the longest chain, '
                              'before its hand, if not given')
+    parser.add_argument('--tips', default=[], nargs='+', metavar='TIP',
+                        help='such links of a body with several arms, instead of --tip')
     parser.add_argument('--base', default='', help='base link; the root if not given')
     parser.add_argument('--out', type=Path, default=Path(),
                         help='folder for the parameter file and the picture, which have the '
@@ -312,7 +327,7 @@ def main(args: list[str] | None = None) -> int:
         say(f'starting {_PLANNER} and {_ARM}')
         _run(file, {} if has_start else {
             'initial_joints': list(arm.start), 'initial_positions': list(arm.start.values())},
-            station, domain, say_next)
+            station, domain, say_next, arm.parameters.tips)
     except LiveError as error:
         print(f'quick_start: {error}', file=sys.stderr)
         return 1

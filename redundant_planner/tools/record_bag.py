@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any
 
 import rclpy
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
@@ -29,12 +29,15 @@ from redundant_planner.io.bag_writer import BagWriter, message_type_known
 from redundant_planner.io.printable import printable
 from redundant_planner.nodes.loop_clock import loop_clock
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+from redundant_planner.nodes.tip_topics import OBJECT, OBJECT_POSE
 
 # Relative names, so that a namespace holds; ~ stands for the planner's name.
 TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'cmd_vel_preview', 'target_pose',
           'target_joints', 'target_path', 'target_trajectory', 'obstacles', 'attached',
           'robot_description', '~/configuration', '~/ticks', '~/target', '~/markers',
           '/diagnostics')
+# What each of several tips has, and what they hold.
+_OF_TIPS = 'cmd_vel', 'target_pose'
 _DEPTH = 5000
 # How often the recorder looks for topics that have appeared, and hands the system what it has [s].
 _LOOK = 0.1
@@ -47,16 +50,19 @@ _SETTLED, _LONGEST_START = 0.5, 5.0
 class Recorder:
     """Subscribes to topics as they appear and writes whatever comes, as it came."""
 
-    def __init__(self, node: Node, writer: BagWriter, topics: list[str]) -> None:
+    def __init__(self, node: Node, writer: BagWriter, topics: list[str], planner: str) -> None:
         """Look for topics on behalf of a node.
 
         Args:
             node: to subscribe with.
             writer: an open bag.
             topics: resolved names.
+            planner: resolved name of its node, whose tips have topics of their own.
         """
         self.counts: dict[str, int] = {}
         self._node, self._writer, self._topics = node, writer, topics
+        self._planner = planner
+        self._tips_known = False  # that the planner has no more of them
         self._now_ns = loop_clock(node).stamp_ns
         self._own: list[Subscription] = []
 
@@ -67,6 +73,7 @@ class Recorder:
         target and is gone would not be heard by a recorder that comes after.
         """
         new = False
+        self._look_for_tips()
         for topic in [name for name in self._topics if name not in self.counts]:
             ends = self._node.get_publishers_info_by_topic(topic)
             if not ends:
@@ -78,6 +85,29 @@ class Recorder:
             self._subscribe(topic, ends[0].topic_type, [end.qos_profile for end in ends])
             new = True
         return new
+
+    @property
+    def has_all(self) -> bool:
+        """Whether there is nothing left to look for."""
+        return self._tips_known and len(self.counts) == len(self._topics)
+
+    def _look_for_tips(self) -> None:
+        """Add what a planner with several tips hears, once it is there."""
+        if self._tips_known:
+            return
+        space, _, name = self._planner.rpartition('/')
+        try:
+            heard = self._node.get_subscriber_names_and_types_by_node(name, space or '/')
+        except NodeNameNonExistentError:
+            return
+        topics = [topic for topic, _ in heard]
+        # One by one they become known: of several tips nothing says which is the last.
+        self._tips_known = f'{space}/{_OF_TIPS[1]}' in topics
+        if f'{space}/{OBJECT}/{_OF_TIPS[1]}' in topics:
+            own = [topic for topic in topics if topic.startswith(f'{space}/')
+                   and topic.removeprefix(f'{space}/').partition('/')[2] in _OF_TIPS]
+            self._topics += [topic for topic in (*own, f'{space}/{OBJECT_POSE}')
+                             if topic not in self._topics]
 
     def _subscribe(self, topic: str, kind: str, qos: Sequence[QoSProfile]) -> None:
         """Hear a topic as well as all of some qualities of service allow."""
@@ -144,14 +174,14 @@ def record(folder: Path, planner: str, extra: list[str], duration: float | None)
     names = [node.resolve_topic_name(topic.replace('~', planner)) for topic in (*TOPICS, *extra)]
     try:
         with BagWriter(folder) as writer:
-            recorder = Recorder(node, writer, names)
+            recorder = Recorder(node, writer, names, node.resolve_topic_name(planner))
             begin = found = time.monotonic()
             looked, flushed, ready = -_LOOK, begin, False
             while not stopped:
                 now = time.monotonic()
                 if ready and duration is not None and now - begin >= duration:
                     break
-                if now - looked >= _LOOK and len(recorder.counts) < len(names):
+                if now - looked >= _LOOK and not recorder.has_all:
                     found = now if recorder.look() else found
                     looked = now
                 if not ready and (now - begin > _LONGEST_START or (

@@ -10,6 +10,7 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+import shlex
 import sys
 import time
 from typing import Any
@@ -39,7 +40,7 @@ from redundant_planner.io.parameter_files import (
     urdf_text,
 )
 from redundant_planner.io.resources import resolve
-from redundant_planner.io.robot_files import build_robot, likely_tip
+from redundant_planner.io.robot_files import build_robot, likely_tip, likely_tips
 from redundant_planner.io.xacro_files import expanded, urdf_in
 
 Array = npt.NDArray[np.float64]
@@ -69,7 +70,7 @@ class Described:
 
 
 def described_by_urdf(
-    urdf: str, tip: str, base: str, warn: Callable[[str], object],
+    urdf: str, tip: str, base: str, warn: Callable[[str], object], tips: Sequence[str] = (),
 ) -> Described:
     """Return what a URDF says of an arm.
 
@@ -78,14 +79,17 @@ def described_by_urdf(
         tip: link that is the end effector; the likely one if empty.
         base: base link; the root if empty.
         warn: takes a sentence about what the URDF lacks.
+        tips: such links of a body with several arms, instead of `tip`.
 
     Raises:
         PlannerError: it cannot be read, or describes no such arm.
     """
     text = urdf_in(resolve(urdf))
     parameters = RobotParameters(
-        urdf=_from_anywhere(urdf, None), tip_frame=tip or likely_tip(text), base_frame=base)
-    chain = Robot(text, parameters.tip_frame, base_frame=base, velocity_max=_VELOCITY, capsules=[])
+        urdf=_from_anywhere(urdf, None), base_frame=base, tips=tuple(tips),
+        tip_frame=tip or ('' if tips else likely_tip(text)))
+    chain = Robot(text, parameters.tip_frame, tips=tips, base_frame=base, velocity_max=_VELOCITY,
+                  capsules=[])
     known_ones = {joint.name: joint.velocity for joint in read_urdf(text).joints}
     velocities = {name: known_ones[name] for name in chain.joint_names}
     assumed = tuple(name for name, limit in velocities.items() if not limit)
@@ -99,13 +103,13 @@ def described_by_urdf(
 
 
 def described_by_file(
-    path: Path, urdf: str = '', tip: str = '', base: str = '',
+    path: Path, urdf: str = '', tip: str = '', base: str = '', tips: Sequence[str] = (),
 ) -> Described:
     """Return what a parameter file says of an arm.
 
     Args:
         path: of the file.
-        urdf, tip, base: what replaces the file's; empty for nothing.
+        urdf, tip, base, tips: what replaces the file's; empty for nothing.
 
     Raises:
         PlannerError: it cannot be used.
@@ -113,7 +117,8 @@ def described_by_file(
     parameters, capsules = read_robot_parameters(path)
     simulated = settings_of(FakeHardwareParameters, read_parameter_file(path))
     parameters = replace(
-        parameters, tip_frame=tip or parameters.tip_frame,
+        parameters, tip_frame='' if tips else tip or parameters.tip_frame,
+        tips=tuple(tips) or (() if tip else parameters.tips),
         base_frame=base or parameters.base_frame,
         urdf=_from_anywhere(urdf, None) if urdf else _from_anywhere(parameters.urdf, path.parent))
     return Described(parameters, capsules, dict(
@@ -199,9 +204,10 @@ def parameter_file(
         'initial_joints': list(start), 'initial_positions': list(map(float, start.values()))}
     accelerations = {} if set(sources.acceleration) == {URDF} else {
         'acceleration_max': robot.acceleration_max.tolist()}
+    tip = {} if parameters.tips else {'tip_frame': robot.tip_frame}
     values: dict[str, Any] = {
-        'urdf': parameters.urdf, 'base_frame': robot.base_frame, 'tip_frame': robot.tip_frame,
-        'axes': robot.axes, **accelerations, **given,
+        'urdf': parameters.urdf, 'base_frame': robot.base_frame, **tip, 'axes': robot.axes,
+        **accelerations, **given,
         **starts, 'capsules': list(capsules), 'capsule': capsules}
     values = {key: list(value) if isinstance(value, tuple) else value
               for key, value in values.items()}
@@ -223,6 +229,17 @@ def said_of_limits(arm: Arm) -> str:
     """Return the limits of an arm's joints, each with where it is from, as text of a few lines."""
     return '\n'.join(['limits, and where each is from:', *(
         f'  {line}' for line in limit_lines(arm.robot, arm.sources))])
+
+
+def several_tips(urdf: str) -> str:
+    """Return a sentence about the tips of a URDF with several arms; empty for one.
+
+    Raises:
+        PlannerError: it cannot be read.
+    """
+    tips = likely_tips(urdf_in(resolve(urdf)))
+    return '' if not tips else (f'the URDF has {len(tips)} arms; to plan for them as one body '
+                                f'add  --tips {shlex.join(tips)}')
 
 
 def draw(path: Path, arm: Arm, say: Callable[[str], object]) -> None:
@@ -261,6 +278,8 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--tip', default='',
                         help='link that is the end effector; the end of the longest chain, '
                              'before its hand, if not given')
+    parser.add_argument('--tips', default=[], nargs='+', metavar='TIP',
+                        help='such links of a body with several arms, instead of --tip')
     parser.add_argument('--base', default='', help='base link; the root if not given')
     parser.add_argument('--posture', type=float, nargs='+', metavar='Q',
                         help='joint positions to draw and to start at; those of the file given, '
@@ -293,16 +312,22 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _described(options: argparse.Namespace, warn: Callable[[str], object]) -> Described:
+    if options.tip and options.tips:
+        raise PlannerError('give --tip or --tips, not both')
     if options.params is not None:
-        return described_by_file(options.params, options.urdf, options.tip, options.base)
+        return described_by_file(
+            options.params, options.urdf, options.tip, options.base, options.tips)
     if not options.urdf:
         raise PlannerError('give --urdf or --params')
     urdf = expanded(options.urdf, options.xacro_args, options.out.parent)
-    return described_by_urdf(urdf, options.tip, options.base, warn)
+    if not (options.tip or options.tips) and (sentence := several_tips(urdf)):
+        warn(sentence)
+    return described_by_urdf(urdf, options.tip, options.base, warn, options.tips)
 
 
 def _table(robot: Robot, fits: Sequence[Fit], seconds: float) -> Table:
-    table = Table(title=f"'{robot.name}' from {robot.base_frame} to {robot.tip_frame}: "
+    tips = ' and '.join(robot.tips)
+    table = Table(title=f"'{robot.name}' from {robot.base_frame} to {tips}: "
                         f'{robot.n} joints, {len(robot.capsules)} capsules, {seconds:.1f} s')
     for heading in ('joint', 'links', 'corners', 'capsules', 'volume ratio'):
         table.add_column(heading)

@@ -114,7 +114,8 @@ def test_a_node_that_ends_is_named_with_what_it_said_last(tmp_path, capfd):
 
 def options_for(folder, *, tip='', base='', urdf=PANDA_URDF, overwrite=False):
     return argparse.Namespace(
-        urdf=str(urdf), xacro_args=(), out=folder, tip=tip, base=base, overwrite=overwrite)
+        urdf=str(urdf), xacro_args=(), out=folder, tip=tip, tips=[], base=base,
+        overwrite=overwrite)
 
 
 @pytest.mark.long

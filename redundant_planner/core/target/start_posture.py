@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
 
 # Random postures that are looked at, and how many of the best are improved.
 _POSTURES, _IMPROVED = 1500, 6
@@ -29,6 +31,12 @@ _LEAST = 1e-3
 # How much worse a posture is with every joint at ±π, with the tip behind the base, and with its
 # z axis, along which most hands reach, straight up.
 _TURNED, _BEHIND, _UPWARD = 0.8, 0.5, 0.5
+# Of several tips: the distance between hands, of an arm's reach, that is ample, how far below its
+# shoulder heights are counted from, and how close to its limits 0 may be for a joint that moves
+# them all to stand there, of its range.
+_AMPLE_APART, _FLOOR, _NEAR_LIMIT = 0.4, 0.5, 0.2
+# Joints that an arm of several has to itself at least.
+_FEWEST = 3
 # Digits that a person reads and types [rad, m].
 _DIGITS = 2
 
@@ -51,6 +59,11 @@ def start_posture(robot: Robot, parameters: PlannerParameters | None = None) -> 
       x of the base) for more than one behind it, and a hand (z of the tip) that points down for
       more than one that points up.
 
+    Of several tips each counts: the product has the heights of each tip and elbow, and how far it
+    is in front, from its own shoulder. Besides, hands are apart from each other, each on the side
+    of its shoulder; two fifths of the reach are enough. Joints that move more than one tip, as a
+    base, a lift and a waist do, stand at 0, or in the middle of a range that ends near 0.
+
     Joints without limits stand within ±π. What stands still around the arm is not known here,
     its own pedestal included, unless there are capsules around it.
 
@@ -63,6 +76,7 @@ def start_posture(robot: Robot, parameters: PlannerParameters | None = None) -> 
     postures = random.uniform(judge.low, judge.high, (_POSTURES, robot.n))
     # As the middle of every range is a good guess for most limits, half are nearer to it.
     postures[::2] = 0.5 * (postures[::2] + 0.5 * (judge.low + judge.high))
+    postures[:, judge.fixed] = judge.stand[judge.fixed]
     seen = judge.look(postures)
     judge.compare_with(seen)
     scores = judge.scores(seen)
@@ -77,8 +91,9 @@ def start_posture(robot: Robot, parameters: PlannerParameters | None = None) -> 
 def _improved(judge: _Judge, q: Array, score: float) -> tuple[Array, float]:
     """Return a posture near another one that no step of one joint makes better, and its score."""
     span, step = judge.high - judge.low, _FIRST_STEP
-    steps = np.vstack((np.diag(span), -np.diag(span)))
-    for _ in range(_MOST_STEPS):
+    each = np.diag(span)[~judge.fixed]
+    steps = np.vstack((each, -each))
+    for _ in range(_MOST_STEPS * judge.tips):
         around = np.clip(q + step * steps, judge.low, judge.high)
         scores = judge.scores(judge.look(around))
         best = int(scores.argmax())
@@ -99,10 +114,13 @@ class _Seen(NamedTuple):
         manipulability: (N,) √det(JJᵀ).
         smallest: (N,) singular value of J.
         room: (N,) between links, margin taken off [m]; infinite for links that cannot collide.
-        tip: (N, 3) in the base frame, seen from the first joint in x and y [m].
+        tip: (N, t, 3) in the base frame, seen from the first joint in x and y [m]; of several
+            tips each from its shoulder, and in z from the height that it counts from.
         lowest: (N,) z of the lowest end of a link [m].
-        elbow: (N,) z of the highest joint [m].
-        upward: (N,) cosine of the angle of the tip's z axis to that of the base.
+        elbow: (N, t) z of the highest joint [m], or of each arm's elbow.
+        upward: (N, t) cosine of the angle of the tip's z axis to that of the base.
+        apart: (N,) the least distance between hands along the line of their shoulders [m];
+            infinite for one tip.
     """
 
     q: Array
@@ -113,6 +131,7 @@ class _Seen(NamedTuple):
     lowest: Array
     elbow: Array
     upward: Array
+    apart: Array
 
 
 class _Judge:
@@ -120,6 +139,9 @@ class _Judge:
 
     Attributes:
         low, high: (n,) between which joints stand [rad, m].
+        fixed: (n,) whether a joint moves several tips, and is not varied.
+        stand: (n,) where these stand [rad, m].
+        tips: their number.
     """
 
     def __init__(self, robot: Robot, parameters: PlannerParameters) -> None:
@@ -136,6 +158,15 @@ class _Judge:
         first = int(self._turns.argmax())
         self._shoulder = robot.joint_points(arm.q)[first]
         self._best = self._steadiest = self._reach = 1.0
+        own = robot.chain.tip_supports > 0.0
+        self.tips, self.fixed = len(own), own.sum(axis=0) > 1
+        if (own & ~self.fixed).sum(axis=1).min() < _FEWEST:  # they are not on arms of their own
+            self.fixed = np.zeros(robot.n, dtype=bool)
+        near = _NEAR_LIMIT * (self.high - self.low)
+        self.stand = np.where((self.low + near < 0.0) & (self.high - near > 0.0), 0.0,
+                              0.5 * (self.low + self.high))
+        self._arms = [_Arm.of(robot, arm.q, np.flatnonzero(joints & ~self.fixed), t)
+                      for t, joints in enumerate(own)] if self.tips > 1 else []
 
     def look(self, postures: Array) -> _Seen:
         """Return what is seen at postures (N, n)."""
@@ -150,18 +181,40 @@ class _Judge:
         if len(self._radii):
             lowest = np.minimum(lowest, np.minimum(
                 arms.segment_start[..., 2], arms.segment_end[..., 2]).min(axis=1))
-        tip = arms.tip_positions[::tips].copy()
-        tip[:, :2] -= self._shoulder[:2]
-        elbow = np.array([self._robot.joint_points(q)[:, 2].max() for q in postures])
+        tip = arms.tip_positions.reshape(-1, tips, 3).copy()
+        points = np.array([self._robot.joint_points(q) for q in postures])
+        apart = np.full(len(postures), np.inf)
+        if self._arms:
+            apart = self._apart(tip, points)
+            lowest, elbow = np.zeros(len(postures)), np.empty(tip.shape[:2])
+            for t, own in enumerate(self._arms):
+                seen_from = points[:, own.shoulder] - (0.0, 0.0, _FLOOR * own.reach)
+                tip[:, t] -= seen_from
+                elbow[:, t] = points[:, own.elbow, 2] - seen_from[:, 2]
+        else:
+            tip[..., :2] -= self._shoulder[:2]
+            elbow = points[..., 2].max(axis=1)[:, None]
         return _Seen(postures, values.prod(axis=1), values[:, -1], room, tip, lowest, elbow,
-                     arms.tip_rotations[::tips, 2, 2])
+                     arms.tip_rotations[:, 2, 2].reshape(-1, tips), apart)
+
+    def _apart(self, tip: Array, points: Array) -> Array:
+        """Return how far hands (N, t, 3) are apart, of arms with joints at (N, n + 1, 3) [m]."""
+        found = [np.full(len(tip), np.inf)]
+        for a, b in itertools.combinations(range(self.tips), 2):
+            line = points[:, self._arms[a].shoulder] - points[:, self._arms[b].shoulder]
+            line /= np.maximum(np.linalg.norm(line, axis=1), _LEAST)[:, None]
+            found.append(((tip[:, a] - tip[:, b]) * line).sum(axis=1))
+        return np.asarray(np.min(found, axis=0))
 
     def compare_with(self, seen: _Seen) -> None:
         """Take the best of what is seen as what is possible."""
         self._best = max(float(seen.manipulability.max()), _LEAST ** 2)
         self._steadiest = max(float(seen.smallest.max()), _LEAST ** 2)
+        if self._arms:
+            self._reach = max(arm.reach for arm in self._arms)
+            return
         self._reach = max(float(np.linalg.norm(
-            seen.tip - np.array((0.0, 0.0, self._shoulder[2])), axis=1).max()), _LEAST)
+            seen.tip[:, 0] - np.array((0.0, 0.0, self._shoulder[2])), axis=1).max()), _LEAST)
 
     def scores(self, seen: _Seen) -> Array:
         """Return the scores (N,) of postures, 1 at best."""
@@ -171,16 +224,40 @@ class _Judge:
                        * np.minimum(seen.smallest / self._steadiest, 1.0))
         turned = np.where(
             self._turns, np.minimum(np.abs(seen.q) / math.pi, 1.0) ** 2, 0.0).mean(axis=1)
-        x, y = seen.tip[:, 0], seen.tip[:, 1]
+        x, y = seen.tip[..., 0], seen.tip[..., 1]
         behind = 0.5 - 0.5 * x / np.maximum(np.hypot(x, y), 0.05 * self._reach)
         return np.asarray(
             _enough(to_limit / _AMPLE_RANGE) * np.maximum(able, _LEAST)
             * _enough(seen.room / (_AMPLE_ROOM * self._reach))
-            * _enough(seen.tip[:, 2] / (_UP * self._reach))
-            * _enough(seen.elbow / (_UP * self._reach))
+            * _enough(seen.tip[..., 2] / (_UP * self._reach)).prod(axis=1)
+            * _enough(seen.elbow / (_UP * self._reach)).prod(axis=1)
             * _enough(1.0 + seen.lowest / (_AMPLE_HEIGHT * self._reach))
-            * (1.0 - _TURNED * turned) * (1.0 - _BEHIND * behind)
-            * (1.0 - _UPWARD * (0.5 + 0.5 * seen.upward)))
+            * (1.0 - _TURNED * turned) * (1.0 - _BEHIND * behind).prod(axis=1)
+            * (1.0 - _UPWARD * (0.5 + 0.5 * seen.upward)).prod(axis=1)
+            * _enough(seen.apart / (_AMPLE_APART * self._reach)))
+
+
+class _Arm(NamedTuple):
+    """One of several arms.
+
+    Attributes:
+        shoulder, elbow: the first of its joints, and the one half way to the tip.
+        reach: of the stretched arm from the shoulder [m].
+    """
+
+    shoulder: int
+    elbow: int
+    reach: float
+
+    @classmethod
+    def of(cls, robot: Robot, q: Array, own: Indices, tip: int) -> _Arm:
+        """Measure an arm with these joints at a posture (n,)."""
+        points = np.vstack((robot.joint_points(q)[own],
+                            robot.kinematics(q).tip_positions[tip:tip + 1]))
+        along = np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum()
+        middle = int(np.abs(along - 0.5 * along[-1]).argmin()) + 1
+        return cls(int(own[0]), int(own[min(middle, len(own) - 1)]),
+                   max(float(along[-1]), _LEAST))
 
 
 def _enough(share: Array) -> Array:
