@@ -27,9 +27,11 @@ if TYPE_CHECKING:
     from redundant_planner.core.horizon.preview import Preview
     from redundant_planner.core.obstacles.obstacle import Obstacle
     from redundant_planner.core.obstacles.scene import Scene
+    from redundant_planner.core.own_rules import Barrier, Criterion
     from redundant_planner.core.parameters import PlannerParameters
     from redundant_planner.core.planner import Planner
     from redundant_planner.core.robot.capsules import Capsule
+    from redundant_planner.core.robot.kinematics import Kinematics
     from redundant_planner.core.robot.se3 import Pose
     from redundant_planner.core.step_result import StepResult, TipResult
     from redundant_planner.core.target.chunk import Chunk
@@ -41,8 +43,11 @@ if TYPE_CHECKING:
 __version__ = '0.2.0'
 
 __all__ = [
+    'Barrier',
     'Capsule',
     'Chunk',
+    'Criterion',
+    'Kinematics',
     'Motion',
     'Obstacle',
     'ObstacleError',
@@ -71,9 +76,11 @@ _MODULES = {
     'core.horizon.preview': ('Preview',),
     'core.obstacles.obstacle': ('Obstacle',),
     'core.obstacles.scene': ('Scene',),
+    'core.own_rules': ('Barrier', 'Criterion'),
     'core.parameters': ('PlannerParameters',),
     'core.planner': ('Planner',),
     'core.robot.capsules': ('Capsule',),
+    'core.robot.kinematics': ('Kinematics',),
     'core.robot.se3': ('Pose',),
     'core.step_result': ('StepResult', 'TipResult'),
     'core.target.chunk': ('Chunk',),

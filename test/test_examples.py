@@ -51,6 +51,16 @@ def test_each_is_tested():
 
 
 @pytest.mark.long
+def test_rules_of_ones_own_are_kept_and_named(tmp_path):
+    without, text = run('09_own_rules.py', tmp_path).split('\nwith rules', 1)
+    assert numbers(r'elbow keeps (-?[\d.]+) mm', without)[0] < 0.0
+    (elbow,), (aside,) = (numbers(pattern, text) for pattern in (
+        r'elbow keeps (-?[\d.]+) mm', r'up to ([\d.]+)° aside'))
+    assert 0.0 <= elbow < 1.0 and aside <= 35.0
+    assert "the speed gave way: 'elbow outside the column'" in text
+
+
+@pytest.mark.long
 def test_a_twist_is_followed_at_more_than_the_margin(tmp_path):
     text = run('01_follow_a_twist.py', tmp_path)
     (clearance,) = numbers(r'smallest clearance: ([\d.]+) mm', text)

@@ -27,27 +27,32 @@ from redundant_planner.core.obstacles.nearby import Surroundings
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
+from redundant_planner.core.own_rules import Barrier, checked_rules, Criterion
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.redundancy.command import limited_twists
 from redundant_planner.core.redundancy.coupling import Coupling
+from redundant_planner.core.redundancy.own_criteria import OwnCriteria
 from redundant_planner.core.redundancy.reference import followed_poses, reference_of, Start, Task
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses, poses_error, turned
 from redundant_planner.core.safety.barriers import (
+    barrier_bounds,
     Barriers,
     barriers_in,
     room_for_rows,
+    with_rows,
     without_null_space,
 )
 from redundant_planner.core.safety.jerk import reversal_time, Smoothing
-from redundant_planner.core.safety.limits import slowed_limits
+from redundant_planner.core.safety.limits import braked, slowed_limits, stopping_time
+from redundant_planner.core.safety.own_barriers import OwnBarriers, OwnRows
 from redundant_planner.core.safety.reasons import reason_for
 from redundant_planner.core.safety.slow_down import SlowDown
 from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.safety.stages import Filtered, Request, safe_velocity
 from redundant_planner.core.safety.way_out import LastWayOut
-from redundant_planner.core.step_result import Nearest, StepResult, TipResult
+from redundant_planner.core.step_result import Nearest, OwnValue, StepResult, TipResult
 from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.free_way import JointMotion
 from redundant_planner.core.target.goal import checked_target, poses_of_tips, Target, TipTargets
@@ -155,7 +160,8 @@ class Planner:
 
     def __init__(
         self, robot: Robot, parameters: PlannerParameters | None = None, *,
-        filtered: bool = True,
+        filtered: bool = True, barriers: Sequence[Barrier] = (),
+        criteria: Sequence[Criterion] = (),
     ) -> None:
         """Prepare for a robot.
 
@@ -163,11 +169,17 @@ class Planner:
             robot: the arm.
             parameters: the planner's; the defaults if None.
             filtered: whether the safety filter acts; off only to compare methods without it.
+            barriers: of the user's own, which the filter keeps at 0 or more.
+            criteria: of the user's own, which null-space motion makes larger.
 
         Raises:
-            ParameterError: the parameters do not fit this robot.
+            ParameterError: the parameters do not fit this robot, or the gradient of a barrier or
+                criterion is not that of its value.
         """
         parameters = PlannerParameters() if parameters is None else parameters
+        sizes = checked_rules(robot, barriers, criteria)
+        self._own_barriers = OwnBarriers(robot, barriers, sizes[:len(barriers)])
+        self._own_criteria = OwnCriteria(robot.n, criteria)
         self.robot = robot
         self._filtered = filtered
         self._given: tuple[tuple[Obstacle, ...], Scene] = (), Scene.of()  # obstacles, if a list is
@@ -461,7 +473,7 @@ class Planner:
         world = World(
             around.maps, around.start, around.end, around.range,
             last.dq if aim.path is None else aim.path, aim.guided, last.worth,
-            self._observer.strayed)
+            self._observer.strayed, self._own_criteria.gradient(arm))
         desired = wish(start, world, self._setup)
 
         # Guard: every limit and barrier, docs/safety.md.
@@ -477,9 +489,17 @@ class Planner:
             share, slower = self._slow_down.share(wanted, scene, arm)
             if gently:
                 share = min(share, _GENTLE / max(float(np.abs(wanted).max()), _GENTLE))
-        if self._filtered and (
-                joints is not None or leaves or share < 1.0 or not desired.admissible):
+        own = self._own_rows(start) if self._filtered and self._own_barriers.barriers else None
+        if own is not None and own.broken:
+            result = self._braking(start)
+            possible, reason = result.scale, (
+                f'{result.stage.value}: {known(own.broken)} is not a finite number')
+        elif self._filtered and (
+                joints is not None or leaves or share < 1.0 or not desired.admissible or not (
+                    own is None or self._keeps(wanted, own, dt))):
             barriers = barriers_in(self._setup.value.rows, desired.rows_used)
+            if own is not None:
+                barriers = with_rows(barriers, own.barriers)
             result = self._filter(desired, wanted, barriers, start, joints, share, leaves=leaves)
             if share < 1.0 and result.stage not in _SLOWER_STAGES:
                 # A clearance that asks for a faster arm goes first.
@@ -503,7 +523,35 @@ class Planner:
             desired.clearance_index, self._nearest(desired, around),
             desired.manipulability, poses.first, desired.task.error[:6], jerk_kept,
             None if target is None else self._way.progress(target, arm),
-            self._tip_results(poses, desired, result))
+            self._tip_results(poses, desired, result),
+            () if own is None and not self._own_criteria.values else self._own_values(own))
+
+    def _own_rows(self, start: Start) -> OwnRows:
+        """Return what the user's barriers ask of a tick."""
+        return self._own_barriers.rows(
+            start, self._limits, self._parameters.clearance_gain, self._constants.scaling,
+            self._smoothing.corner, self._observer.strayed)
+
+    def _keeps(self, dq: Array, own: OwnRows, dt: float) -> bool:
+        """Return whether a velocity (n,) keeps the user's barriers."""
+        stop = stopping_time(self._last.dq, self._limits.acceleration_max) + dt
+        bounds = barrier_bounds(own.barriers, self._parameters.clearance_gain, stop, dt)
+        return bool((own.barriers.gradient @ dq >= bounds).all())
+
+    def _braking(self, start: Start) -> Filtered:
+        """Return a velocity with which all joints slow down in proportion."""
+        slower = braked(start.previous, self._limits.acceleration_max, start.dt)
+        before = float(np.abs(start.previous).max())
+        return Filtered.untouched(slower)._replace(
+            scale=0.0, residual=float(np.abs(slower).max()) / before if before else 0.0,
+            stage=Stage.BRAKING)
+
+    def _own_values(self, own: OwnRows | None) -> tuple[OwnValue, ...]:
+        """Return what the user's barriers and criteria came to."""
+        values = () if own is None else tuple(
+            OwnValue(barrier.name, value)
+            for barrier, value in zip(self._own_barriers.barriers, own.values))
+        return values + self._own_criteria.values
 
     def _aim(
         self, start: Start, commanded: bool, around: Surroundings,
@@ -663,6 +711,9 @@ class Planner:
         if self._filtered and desired.unseen_share < 1.0:
             fallbacks.append('slower among more obstacles than a tick takes in: '
                              f'{math.floor(100.0 * desired.unseen_share)}% of the speed')
+        if self._own_criteria.broken:
+            fallbacks.append(
+                f'without {known(self._own_criteria.broken)}, which is not a finite number')
         if self._look_ahead.cut_short:
             fallbacks.append('the joint path ahead was improved in part')
         return fallbacks
@@ -779,7 +830,7 @@ class Planner:
         change = np.abs(result.dq - self._last.dq) / (start.dt * self._limits.acceleration_max)
         return reason_for(
             result, barriers, around, self.robot, change, start.arm.q, self._way_out,
-            commanded=aim.commanded,
+            self._own_barriers.names, commanded=aim.commanded,
             course=aside.course if aside is not None and aside.leaves else '')
 
     def _nearest(self, desired: Wish, around: Surroundings) -> Nearest | None:

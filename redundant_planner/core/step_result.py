@@ -42,6 +42,18 @@ class TipResult(NamedTuple):
     scale: float
 
 
+class OwnValue(NamedTuple):
+    """What a barrier or criterion of the user's own came to in a tick.
+
+    Attributes:
+        name: its name.
+        value: h or H at the posture that the tick starts from; NaN where it is no finite number.
+    """
+
+    name: str
+    value: float
+
+
 class StepResult(NamedTuple):
     """What one tick decided; arrays are the caller's to keep.
 
@@ -66,6 +78,7 @@ class StepResult(NamedTuple):
         progress: towards the target, None without one.
         tips: of an arm with several tips, what was decided about each; empty with one. `pose` and
             `path_error` are the first tip's then, and `scale` the least.
+        own: the user's own barriers, then their own criteria; empty without any.
     """
 
     dq: Array
@@ -84,3 +97,4 @@ class StepResult(NamedTuple):
     jerk_kept: bool = True
     progress: Progress | None = None
     tips: tuple[TipResult, ...] = ()
+    own: tuple[OwnValue, ...] = ()

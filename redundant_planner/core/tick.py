@@ -60,6 +60,7 @@ class World(NamedTuple):
         guided: share of the homogeneous solution that follows it.
         worth: share of the rest of it that is worth its while, see `Planner`.
         strayed: (n,) see `JointObserver`.
+        own_gradient: (n,) of the user's criteria, weights included; zero without any.
     """
 
     obstacles: InflatedObstacles
@@ -70,6 +71,7 @@ class World(NamedTuple):
     guided: float
     worth: float
     strayed: Vector
+    own_gradient: Vector
 
 
 class Wish(NamedTuple):
@@ -269,7 +271,8 @@ def _wish(
         gains.clearance_influence_distance)
     factor, homogeneous = 1.0, np.zeros(len(scaling))
     if world.guided < 1.0:
-        gradient = _total_gradient(start, clearance, least, constants, gains)
+        gradient = world.own_gradient + _total_gradient(
+            start, clearance, least, constants, gains)
         projected = null_space.project(parts, gradient * scaling)
         factor = gains.criteria_k_fixed if gains.fixed else null_space.dynamic_factor(
             gains.criteria_k_alpha, least.motion, projected)

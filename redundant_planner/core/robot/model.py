@@ -31,6 +31,7 @@ from redundant_planner.core.robot.payload import payload_capsules
 from redundant_planner.core.robot.pinocchio_model import (
     joint_placements,
     link_id,
+    link_names,
     model_of_chain,
     tree_joints,
 )
@@ -131,6 +132,7 @@ class Robot:
         self._model = model_of_chain(
             described, chain, self.base_frame, locked_positions or {})
         self._data = self._model.createData()
+        self._links: dict[str, tuple[int, Array]] = {}  # frame, and which joints move it
         self.joint_names: tuple[str, ...] = tuple(self._model.names)[1:]
         chain.sort(key=lambda joint: self.joint_names.index(joint.name))
         axes_of_tips = _axes_of_tips(axes, self.tips)
@@ -228,6 +230,65 @@ class Robot:
         pin.forwardKinematics(self._model, self._data, self.checked_posture(q))
         pose = pin.updateFramePlacement(self._model, self._data, link_id(self._model, link))
         return points @ pose.rotation.T + pose.translation
+
+    def point(
+        self, arm: Kinematics, link: str, offset: npt.ArrayLike = (0.0, 0.0, 0.0),
+    ) -> tuple[Array, Array]:
+        """Return where a point of a link is, and how the joints move it.
+
+        Args:
+            arm: the arm at a posture, from `kinematics`.
+            link: the link's name.
+            offset: (3,) the point in the link's frame [m].
+
+        Returns:
+            Its position (3,) in the base frame [m], and the Jacobian of that (3, n).
+
+        Raises:
+            RobotError: there is no such link.
+        """
+        pose, moving = self._pose_of(arm, link)
+        x, y, z = position = pose.rotation @ np.asarray(offset, dtype=float) + pose.translation
+        # v₀ + w × x
+        turning = np.array(((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))
+        return position, moving * (arm.joint_screws[:3] + turning @ arm.joint_screws[3:])
+
+    def direction(
+        self, arm: Kinematics, link: str, axis: npt.ArrayLike,
+    ) -> tuple[Array, Array]:
+        """Return where an axis of a link points, and how the joints turn it.
+
+        Args:
+            arm: the arm at a posture, from `kinematics`.
+            link: the link's name.
+            axis: (3,) in the link's frame, of any length but 0.
+
+        Returns:
+            A unit vector (3,) in the base frame, and the Jacobian of that (3, n) [1/rad].
+
+        Raises:
+            RobotError: there is no such link.
+        """
+        pose, moving = self._pose_of(arm, link)
+        along = pose.rotation @ np.asarray(axis, dtype=float)
+        x, y, z = along = along / np.linalg.norm(along)
+        turning = np.array(((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))
+        return along, moving * (turning @ arm.joint_screws[3:])
+
+    def _pose_of(self, arm: Kinematics, link: str) -> tuple[pin.SE3, Array]:
+        """Return a link's pose in the base frame, and 1 for each joint (n,) that moves it."""
+        known_link = self._links.get(link)
+        if known_link is None:
+            if not self._model.existFrame(link):
+                raise RobotError(f"'{self.name}' has no link '{link}'; it has "
+                                 f'{known(link_names(self._model))}')
+            frame = link_id(self._model, link)
+            joint = np.array([self._model.frames[frame].parentJoint], dtype=np.intp)
+            known_link = self._links[link] = (
+                frame, shapes.supports_of(joint, self.chain.parents)[0])
+        frame, moving = known_link
+        pin.forwardKinematics(self._model, self._data, arm.q)
+        return pin.updateFramePlacement(self._model, self._data, frame), moving
 
     @property
     def model(self) -> pin.Model:

@@ -34,9 +34,9 @@ from redundant_planner.core.safety.limits import (
 
 Array = npt.NDArray[np.float64]
 
-# Kinds of rows, in the order in which they stand. The last two are not urgent: they give way
-# before anything else does.
-OBSTACLE, LINK, CONE, SINGULARITY, SELF_MOTION = range(5)
+# Kinds of rows, in the order in which they stand; `own_barriers` inserts the user's. The last two
+# are not urgent: they give way before anything else does.
+OBSTACLE, LINK, CONE, OWN, SINGULARITY, SELF_MOTION = range(6)
 
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
 _FOUND_INSIDE = 1e-3
@@ -68,8 +68,9 @@ class Barriers(NamedTuple):
         time_derivative: (b,) ∂h/∂t from the obstacles' own motion [unit of h/s].
         value: (b,) h against the margin; negative inside it, where the arm has to get out.
         spare: (b,) how much of h is given up before the rest of any other is.
-        kind: (b,) OBSTACLE, LINK, CONE, SINGULARITY or SELF_MOTION.
-        first, second: (b,) a link and an obstacle, or two links; −1 for other rows.
+        kind: (b,) OBSTACLE, LINK, CONE, OWN, SINGULARITY or SELF_MOTION.
+        first, second: (b,) a link and an obstacle, two links, or the user's barrier and −1; −1
+            for other rows.
     """
 
     gradient: Matrix
@@ -421,6 +422,13 @@ def self_motion_row(
     rows.time_derivative[at] = max(fastest, slower * np.sum(self_motion * previous) / speed)
     rows.kind[at] = SELF_MOTION
     return at + 1
+
+
+def with_rows(barriers: Barriers, more: Barriers) -> Barriers:
+    """Return barriers with more rows, which are urgent, after the urgent ones."""
+    at = urgent_rows(barriers)
+    return Barriers(*(
+        np.concatenate((rows[:at], added, rows[at:])) for rows, added in zip(barriers, more)))
 
 
 def without_null_space(barriers: Barriers) -> Barriers:

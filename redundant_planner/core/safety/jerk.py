@@ -57,6 +57,10 @@ class MeanVelocity:
         """Return how long commands take to follow what is planned [s]."""
         return 0.5 * (self.ticks - 1) * dt
 
+    def corner(self, dt: float) -> float:
+        """Return how far off the planned way the mean is, for each unit of acceleration [s²]."""
+        return (self.ticks * self.ticks - 1) * dt * dt / 24.0
+
     def take(self, planned: Array, dt: float) -> Array:
         """Take a planned velocity (n,); return the mean, which is the caller's to keep."""
         self.latest = planned
@@ -94,6 +98,10 @@ class FadingMean:
     def delay(self, dt: float) -> float:
         """Return τ, whatever the tick [s]."""
         return self._delay
+
+    def corner(self, dt: float) -> float:
+        """Return how far off the planned way the mean is, for each unit of acceleration [s²]."""
+        return 0.5 * self._delay * self._delay
 
     def take(self, planned: Array, dt: float) -> Array:
         """Take the velocity (n,) planned for dt [s]; return the mean, the caller's to keep."""
@@ -136,6 +144,11 @@ class Smoothing:
     def delay(self) -> float:
         """How long commands take to follow what is planned [s]."""
         return self._mean.delay(self._dt)
+
+    @property
+    def corner(self) -> float:
+        """How far off the planned way commands are, for each unit of acceleration [s²]."""
+        return self._mean.corner(self._dt)
 
     @property
     def keeps_jerk(self) -> bool:

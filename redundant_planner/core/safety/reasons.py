@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -12,6 +14,7 @@ from redundant_planner.core.safety.barriers import (
     CONE,
     LINK,
     OBSTACLE,
+    OWN,
     SELF_MOTION,
     SINGULARITY,
 )
@@ -29,7 +32,8 @@ _SINGULAR = ('near a singularity', 'singular posture')
 
 def reason_for(
     result: Filtered, barriers: Barriers, around: Surroundings, robot: Robot,
-    largest_change: Array, q: Array, last_way_out: LastWayOut, *, commanded: bool, course: str,
+    largest_change: Array, q: Array, last_way_out: LastWayOut, own: Sequence[str] = (), *,
+    commanded: bool, course: str,
 ) -> str:
     """Say what holds the arm back; empty where nothing but its drives does.
 
@@ -40,6 +44,7 @@ def reason_for(
         largest_change: (n,) share of the acceleration limit that each joint used, 1 at most.
         q: (n,) the posture.
         last_way_out: which way leads out of a singularity.
+        own: names of the user's barriers.
         commanded: whether any motion is.
         course: what the arm leaves its path for before it is near; empty if it does not.
     """
@@ -50,7 +55,7 @@ def reason_for(
         # It is speeding up.
         return ''
     names = [f"joint '{robot.joint_names[i]}' at its limit" for i in at_limit]
-    names += [_row_name(row, barriers, around, robot) for row in result.pairs.tolist()]
+    names += [_row_name(row, barriers, around, robot, own) for row in result.pairs.tolist()]
     names = names or [course or _SINGULAR[1]]
     # A link may have several points near an obstacle.
     named = ', '.join(name + last_way_out.words(q) if name in _SINGULAR else name
@@ -58,11 +63,15 @@ def reason_for(
     return f'{result.stage.value}: {named}'
 
 
-def _row_name(row: int, barriers: Barriers, around: Surroundings, robot: Robot) -> str:
+def _row_name(
+    row: int, barriers: Barriers, around: Surroundings, robot: Robot, own: Sequence[str],
+) -> str:
     """Name a barrier as a sentence's part."""
     kind = int(barriers.kind[row])
     if kind == SINGULARITY:
         return _SINGULAR[0]
+    if kind == OWN:
+        return f"'{own[int(barriers.first[row])]}'"
     if kind == CONE:
         return 'the tip leans as far as cone.angle lets it'
     if kind == SELF_MOTION:

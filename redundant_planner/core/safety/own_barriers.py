@@ -1,0 +1,132 @@
+"""The user's own barriers as rows of the filter (docs/safety.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from redundant_planner.core.own_rules import Barrier, measured
+from redundant_planner.core.redundancy import null_space
+from redundant_planner.core.redundancy.reference import Start
+from redundant_planner.core.robot.kinematics import Kinematics
+from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.safety.barriers import Barriers, OWN
+from redundant_planner.core.safety.limits import barrier_rate, Limits, stopping_time
+
+Array = npt.NDArray[np.float64]
+
+# What is left of the room that is kept for round-off and corners comes back by no more null-space
+# motion than that [rad/s, m/s].
+_SLOWLY_BACK = 1e-3
+
+
+class OwnRows(NamedTuple):
+    """What the user's barriers ask of a tick.
+
+    Attributes:
+        barriers: their rows.
+        values: (b,) h of each barrier.
+        broken: names of barriers that are not finite numbers here or ahead: then the arm brakes.
+    """
+
+    barriers: Barriers
+    values: tuple[float, ...]
+    broken: tuple[str, ...]
+
+
+class OwnBarriers:
+    """The user's barriers of one arm.
+
+    Attributes:
+        barriers, names: all of them.
+    """
+
+    def __init__(
+        self, robot: Robot, barriers: Sequence[Barrier], sizes: Sequence[float],
+    ) -> None:
+        """Take barriers that have been checked, and how large their gradients are."""
+        self._robot, self.barriers = robot, tuple(barriers)
+        self.names = tuple(barrier.name for barrier in barriers)
+        # In rows all have gradients of about 1, whatever the unit of h.
+        self._units = [size if size > 0.0 else 1.0 for size in sizes]
+
+    def rows(
+        self, start: Start, limits: Limits, gain: float, scaling: Array, corner: float,
+        strayed: Array,
+    ) -> OwnRows:
+        """Return the rows of a tick.
+
+        Args:
+            start: of the tick.
+            limits: of the joints.
+            gain: largest share of h that may be used up per second [1/s].
+            scaling: (n,) 1 / square root of the joint weights.
+            corner: see `Smoothing` [s²].
+            strayed: (n,) how far the arm is from where it is thought to be [rad, m].
+        """
+        arm, previous, dt = start.arm, start.previous, start.dt
+        stop = stopping_time(previous, limits.acceleration_max)
+        moves, rest = stop > 0.0, 0.5 * stop * previous
+        next_arm = self._robot.kinematics_at(arm.q + dt * previous) if moves else arm
+        arm_at_rest = self._robot.kinematics_at(arm.q + rest) if stop > dt else None
+        # Joint motion that corners cut off at most, those within a tick too.
+        room = limits.acceleration_max * (corner + dt * dt) + strayed
+        rate, braking = barrier_rate(gain, max(stop - dt, 0.0), dt), 1.0 - dt / max(stop, dt)
+        values, broken, rows = [], [], []
+        for i, (barrier, unit) in enumerate(zip(self.barriers, self._units)):
+            here = measured(barrier, arm)
+            then = measured(barrier, next_arm) if moves else here
+            values.append(math.nan if here is None else here.value)
+            if here is None or then is None:
+                broken.append(barrier.name)
+                continue
+            gradient, kept = here.gradient / unit, float(np.abs(here.gradient) @ room) / unit
+            # What a straight way of this tick's length bends h by.
+            bent = (then.value - here.value) / (unit * dt) - float(gradient @ previous)
+            value = here.value / unit - kept
+            if value < 0.0:
+                value = max(value, -_SLOWLY_BACK / gain * _null_motion(arm, scaling, gradient))
+            rows.append(_Row(gradient, min(bent, 0.0), value, i))
+            if arm_at_rest is None:
+                continue
+            end = measured(barrier, arm_at_rest)
+            if end is None:
+                broken.append(barrier.name)
+                continue
+            gradient = end.gradient / unit
+            nearer = -float(gradient @ previous)
+            if nearer > 0.0:
+                value = end.value / unit - kept - float(gradient @ rest)
+                # No more than braking can do.
+                rows.append(_Row(gradient, 0.0, value, i) if rate * value >= braking * nearer
+                            else _Row(gradient, braking * nearer, 0.0, i))
+        return OwnRows(_barriers(rows, len(arm.q)), tuple(values), tuple(broken))
+
+
+class _Row(NamedTuple):
+    """A row: see `Barriers`; `first` is the barrier's number."""
+
+    gradient: Array
+    time_derivative: float
+    value: float
+    first: int
+
+
+def _barriers(rows: list[_Row], n: int) -> Barriers:
+    """Return rows (b) of n joints as barriers."""
+    return Barriers(
+        np.array([row.gradient for row in rows]).reshape(-1, n),
+        np.array([row.time_derivative for row in rows], dtype=float),
+        np.array([row.value for row in rows], dtype=float), np.zeros(len(rows)),
+        np.full(len(rows), OWN), np.array([row.first for row in rows], dtype=np.intp),
+        np.full(len(rows), -1))
+
+
+def _null_motion(arm: Kinematics, scaling: Array, gradient: Array) -> float:
+    """Return how much of a gradient (n,) null-space motion can follow."""
+    parts = null_space.decompose(arm.jacobian * scaling)
+    return float(np.linalg.norm(null_space.project(parts, scaling * gradient)))
