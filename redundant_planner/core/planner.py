@@ -224,7 +224,7 @@ class Planner:
         self._look_ahead = LookAhead(
             robot, parameters, self._limits, self._constants, self._gains)
         self._way = Way(robot, parameters, limits, constants, gains, getattr(self, '_way', None),
-                        self._coupling)
+                        self._coupling, self._own_barriers)
         self._back = ComingBack(robot, constants)
         self._evasive = EvasivePlan(robot, constants, limits, gains)
         self._way_out = LastWayOut(robot, constants, limits, parameters.singularity_margin)

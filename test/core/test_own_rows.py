@@ -24,6 +24,8 @@ from redundant_planner.core.own_rules import Barrier, Criterion
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.redundancy.null_space import decompose, project
+from redundant_planner.core.target.chunk import Chunk
+from redundant_planner.core.target.progress import TargetState
 
 SEEDS = st.integers(0, 2**32 - 1)
 SMOOTH, ABRUPT = make_panda(), make_panda(jerk_max=(np.inf,))
@@ -221,13 +223,14 @@ def test_the_unit_of_a_barrier_does_not_matter():
     np.testing.assert_allclose(ends[1:], [ends[0]] * 2, atol=1e-6)
 
 
-def test_a_way_of_the_joints_keeps_barriers_too():
+def test_a_chunk_of_the_joints_is_followed_as_far_as_barriers_let_it():
+    times = np.linspace(0.0, 2.0, 41)
+    chunk = Chunk(times, PANDA_READY + np.outer(times, np.array([-0.6, 0, 0, 0, 0, 0, 0])))
     barriers = [Barrier('elbow beside', beside_column(SMOOTH, 'panda_link4', (0.0, 0.45), 0.4))]
     planner, q = Planner(SMOOTH, barriers=barriers), PANDA_READY
     values = []
     for _ in range(500):
-        result = planner.step(q, np.zeros(6), NOTHING, DT,
-                              target=PANDA_READY + np.array([-1.2, 0, 0, 0, 0, 0, 0]))
+        result = planner.step(q, np.zeros(6), NOTHING, DT, target=chunk)
         q = q + DT * result.dq
         values.append(least(barriers, SMOOTH, q))
     assert min(values) >= -1e-6 and values[-1] < 1e-2
@@ -291,3 +294,36 @@ def test_a_criterion_that_is_no_number_counts_nothing_and_is_named():
     result = planner.step(PANDA_READY, np.full(6, 0.1), NOTHING, DT)
     assert "without 'c', which is not a finite number" in result.reason
     assert np.isfinite(result.dq).all()
+
+
+@pytest.mark.parametrize(('pose', 'seed'), [(False, 1), (True, 2), (True, 15)])
+def test_ways_to_targets_lead_around_a_barrier(pose, seed):
+    """The elbow would swing through the column on the straight way of the joints."""
+    barriers = [Barrier('elbow beside', beside_column(SMOOTH, 'panda_link4', (0.15, 0.0), 0.12)),
+                Barrier('elbow in', within_ball(SMOOTH, 'panda_link4', radius=0.5))]
+    start, end = [q for q in random_postures(SMOOTH, 200, seed)
+                  if least(barriers, SMOOTH, q) > 0.03][:2]
+    assert min(least(barriers, SMOOTH, start + share * (end - start))
+               for share in np.linspace(0.0, 1.0, 60)) < -0.01
+    target = SMOOTH.kinematics(end).tips.first if pose else end
+    planner, q, values = Planner(SMOOTH, barriers=barriers), start, []
+    for _ in range(3000):
+        result = planner.step(q, np.zeros(6), NOTHING, DT, target=target)
+        q = q + DT * result.dq
+        values.append(least(barriers, SMOOTH, q))
+        if result.progress.state is TargetState.REACHED:
+            break
+    assert result.progress.state is TargetState.REACHED, result
+    assert min(values) >= -1e-6
+
+
+def test_a_target_that_a_barrier_forbids_is_not_gone_to_and_the_barrier_named():
+    barriers = [Barrier('elbow beside', beside_column(SMOOTH, 'panda_link4', (0.15, 0.0), 0.12))]
+    start, end = PANDA_READY.copy(), PANDA_READY.copy()
+    start[:2], end[:2] = (-1.0, 0.2), (0.0, 0.2)
+    planner, q = Planner(SMOOTH, barriers=barriers), start
+    for _ in range(400):
+        result = planner.step(q, np.zeros(6), NOTHING, DT, target=end)
+        q = q + DT * result.dq
+    assert "'elbow beside' would not be kept" in result.reason
+    np.testing.assert_allclose(q, start, atol=1e-3)

@@ -22,6 +22,9 @@ Array = npt.NDArray[np.float64]
 # What is left of the room that is kept for round-off and corners comes back by no more null-space
 # motion than that [rad/s, m/s].
 _SLOWLY_BACK = 1e-3
+# A barrier has no rows while h is more than so many times what the fastest joints could ask for:
+# that saves two more postures.
+_FAR = 3.0
 
 
 class OwnRows(NamedTuple):
@@ -71,20 +74,32 @@ class OwnBarriers:
         arm, previous, dt = start.arm, start.previous, start.dt
         stop = stopping_time(previous, limits.acceleration_max)
         moves, rest = stop > 0.0, 0.5 * stop * previous
-        next_arm = self._robot.kinematics_at(arm.q + dt * previous) if moves else arm
-        arm_at_rest = self._robot.kinematics_at(arm.q + rest) if stop > dt else None
+        next_arm: Kinematics | None = None
+        arm_at_rest: Kinematics | None = None
+        fastest = np.minimum(
+            np.abs(previous) + limits.acceleration_max * dt, limits.velocity_max)
+        uses_up = _FAR / barrier_rate(gain, stop + dt, dt) * fastest
         # Joint motion that corners cut off at most, those within a tick too.
         room = limits.acceleration_max * (corner + dt * dt) + strayed
         rate, braking = barrier_rate(gain, max(stop - dt, 0.0), dt), 1.0 - dt / max(stop, dt)
         values, broken, rows = [], [], []
         for i, (barrier, unit) in enumerate(zip(self.barriers, self._units)):
             here = measured(barrier, arm)
-            then = measured(barrier, next_arm) if moves else here
             values.append(math.nan if here is None else here.value)
-            if here is None or then is None:
+            if here is None:
                 broken.append(barrier.name)
                 continue
-            gradient, kept = here.gradient / unit, float(np.abs(here.gradient) @ room) / unit
+            slopes = np.abs(here.gradient)
+            if here.value > float(slopes @ (uses_up + room)):
+                continue
+            if next_arm is None:
+                next_arm = self._robot.kinematics_at(arm.q + dt * previous) if moves else arm
+                arm_at_rest = self._robot.kinematics_at(arm.q + rest) if stop > dt else None
+            then = measured(barrier, next_arm) if moves else here
+            if then is None:
+                broken.append(barrier.name)
+                continue
+            gradient, kept = here.gradient / unit, float(slopes @ room) / unit
             # What a straight way of this tick's length bends h by.
             bent = (then.value - here.value) / (unit * dt) - float(gradient @ previous)
             value = here.value / unit - kept
@@ -105,6 +120,17 @@ class OwnBarriers:
                 rows.append(_Row(gradient, 0.0, value, i) if rate * value >= braking * nearer
                             else _Row(gradient, braking * nearer, 0.0, i))
         return OwnRows(_barriers(rows, len(arm.q)), tuple(values), tuple(broken))
+
+    def rooms(self, postures: Array) -> Array:
+        """Return h (N, b) at postures (N, n), in units of its gradient; −inf for no number."""
+        rooms = np.full((len(postures), len(self.barriers)), -np.inf)
+        for at, q in enumerate(postures):
+            arm = self._robot.kinematics_at(q)
+            for i, (barrier, unit) in enumerate(zip(self.barriers, self._units)):
+                found = measured(barrier, arm)
+                if found is not None:
+                    rooms[at, i] = found.value / unit
+        return rooms
 
 
 class _Row(NamedTuple):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
+import itertools
 import math
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from redundant_planner.core.horizon.least_norm_path import PathJoints
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.shapes import HALF_SPACE
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.safety.own_barriers import OwnBarriers
 from redundant_planner.core.target.straight_motion import (
     Around,
     begin_looking,
@@ -31,6 +33,10 @@ _ROOM_OF_PAIRS = 2e-3
 # What postures cost to look at besides their distances, each and together, and what a piece of
 # work costs at most, in distances: each takes about 0.1 µs.
 _COST_OF_POSTURE, _COST_OF_CALL, _PIECE = 40, 100, 1500
+# What a barrier of the user's own costs at a posture, in distances, how much of it is asked of a
+# way, more than the filter keeps, and how far apart postures are looked at [rad, m].
+_COST_OF_RULE, _ROOM_OF_RULES, _KEPT_OF_RULES, _STEP = 400, 0.01, 2e-3, 0.05
+_ROUND_OFF = 1e-9
 
 
 class Place(NamedTuple):
@@ -49,8 +55,9 @@ class FreeSpace:
     """The postures at which one arm is free, among obstacles as they are at one moment.
 
     Room is what a link has to the nearest obstacle, and what pairs of links have to each other,
-    margins taken off [m], and how much further the tip may lean in its cone [rad]: k entries, in
-    this order.
+    margins taken off [m], how much further the tip may lean in its cone, and what the joints may
+    use up of the user's barriers [rad]: k entries, in this order. The compiled search knows
+    nothing of the last ones: they are infinite there, and `keeps_rules` looks at its ways.
 
     Attributes:
         robot: the arm.
@@ -64,10 +71,13 @@ class FreeSpace:
 
     def __init__(
         self, robot: Robot, constants: RobotConstants, joints: PathJoints,
-        obstacles: InflatedObstacles,
+        obstacles: InflatedObstacles, own: OwnBarriers | None = None,
     ) -> None:
         """Take a look at obstacles that are inflated for links with their margin."""
         self.robot, self.joints, self.spent = robot, joints, 0
+        self._own = own if own is not None and own.barriers else None
+        self._rules = 0 if self._own is None else len(self._own.barriers)
+        self._forgiven_rules = np.zeros(self._rules)
         self._constants = constants
         reach = [constants.lever_arm_bounds, constants.self_lever_arm_bounds]
         in_cone = constants.cone.angle < math.pi
@@ -75,6 +85,7 @@ class FreeSpace:
             # What turns, turns the tip's axis no faster.
             screws = robot.kinematics(np.zeros(robot.n)).joint_screws
             reach.append(np.linalg.norm(screws[3:], axis=0)[None])
+        reach.append(np.zeros((self._rules, robot.n)))
         self.reach = np.vstack(reach)
         self.around = Around(
             obstacles, constants.radii, constants.self_pairs, constants.cone, in_cone,
@@ -89,7 +100,40 @@ class FreeSpace:
     def rooms(self, postures: Array) -> Array:
         """Return the room (N, k) at postures (N, n); infinite for links that cannot move."""
         self.spend(_COST_OF_CALL + len(postures) * self.cost)
-        return rooms_at(postures, self.robot.chain, self.around)
+        rooms = rooms_at(postures, self.robot.chain, self.around)
+        if self._rules:
+            rooms[:, -self._rules:] = self._rooms_of_rules(postures)
+        return rooms
+
+    def _rooms_of_rules(self, postures: Array) -> Array:
+        """Return what is left of the user's barriers (N, b) at postures (N, n)."""
+        assert self._own is not None
+        self.spend(_COST_OF_RULE * self._rules * len(postures))
+        return self._own.rooms(postures) - _KEPT_OF_RULES + self._forgiven_rules
+
+    def keeps_rules(self, way: Sequence[Place]) -> Generator[None, None, bool]:
+        """Return whether straight motions from place to place keep the user's barriers.
+
+        They may have as little room as their ends. It pauses after each piece of work.
+        """
+        if not self._rules:
+            return True
+        for one, other in itertools.pairwise(way):
+            least = np.minimum(np.minimum(one.room, other.room)[-self._rules:], _ROOM_OF_RULES)
+            steps = math.ceil(float(np.abs(other.q - one.q).max(initial=0.0)) / _STEP)
+            for step in range(1, steps + 1):
+                between = one.q + step / steps * (other.q - one.q)
+                if (self._rooms_of_rules(between[None])[0] < least - _ROUND_OFF).any():
+                    return False
+                if step % 4 == 0:
+                    yield
+        yield
+        return True
+
+    @property
+    def has_rules(self) -> bool:
+        """Whether there are barriers of the user's own."""
+        return self._rules > 0
 
     @property
     def narrow(self) -> bool:
@@ -104,21 +148,29 @@ class FreeSpace:
         links, pairs = len(self._constants.lever_arm_bounds), len(self._constants.self_pairs)
         asked = np.full(len(self.reach), room)
         asked[links:links + pairs] = min(room, _ROOM_OF_PAIRS)
+        asked[len(asked) - self._rules:] = min(room, _ROOM_OF_RULES)
         return asked
 
     def begin_at(self, q: Array) -> Place:
         """Return a posture (n,) with its room, to start from.
 
         Links found closer to each other than their margin may stay so, only not get closer: that
-        counts as no room from here on.
+        counts as no room from here on. So may what is found outside a barrier of the user's.
         """
         forgiven = self.around.forgiven
         forgiven[np.isfinite(forgiven)] = 0.0
+        self._forgiven_rules[:] = 0.0
         room = self.rooms(q[None])[0]
+        if self._rules:
+            self._forgiven_rules = np.maximum(-room[-self._rules:], 0.0)
+            own = room[-self._rules:] + self._forgiven_rules
         pairs = slice(len(self._constants.lever_arm_bounds), None)
         forgiven[pairs] = np.where(
             np.isfinite(forgiven[pairs]), np.maximum(-room[pairs], 0.0), np.inf)
-        return Place(q, room + forgiven)
+        room = room + forgiven
+        if self._rules:
+            room[-self._rules:] = own
+        return Place(q, room)
 
     def too_near(self, room: Array) -> str:
         """Say which link has the least room (k,), and what is missing of its margin."""
@@ -130,6 +182,8 @@ class FreeSpace:
         if least < links + len(pairs):
             one, other = pairs[least - links]
             return f"'{names[one]}' would be {missing} '{names[other]}'"
+        if self._own is not None and least >= len(room) - self._rules:
+            return f"'{self._own.names[least - len(room)]}' would not be kept"
         return f'the tip would lean {-math.degrees(room[least]):.1f}° out of its cone'
 
     def nearest_obstacle(self, postures: Array) -> float:
@@ -176,7 +230,7 @@ class FreeSpace:
             state = go_on_looking(motion, self.at_once, self.robot.chain, self.around)
             self.spend(self.cost * int(motion.counts[0] - before))
             if state != PENDING:
-                return state == FREE
+                return state == FREE and (yield from self.keeps_rules((one, other)))
             yield
 
     def joint_ranges(self, q: Array) -> tuple[Array, Array]:

@@ -63,6 +63,10 @@ _FEWEST_NODES, _MOST_NODES = 500, 4000
 # Attempts at a shortcut and how many in vain end them, of any way and of one that may become the
 # best: one that costs less than this factor of it by then.
 _ROUGHLY, _THOROUGHLY, _PROMISES = (60, 20), (300, 60), 1.1
+# So many of them at once where the user has barriers.
+_CUTS_AT_ONCE = 5
+
+
 class PathSearch:
     """A search that goes on for ever, one attempt after the other.
 
@@ -237,7 +241,8 @@ class PathSearch:
             if ended == TOO_LARGE:
                 return None
             met = ended == MET
-        return _places(*way_between(self._trees))
+        way = _places(*way_between(self._trees))
+        return way if (yield from space.keeps_rules(way)) else None
 
     def _grow(self, trees: Trees, aims: int, room: float) -> Generator[None, None, int]:
         """Grow trees towards so many random postures with some room; return how that ended."""
@@ -270,10 +275,27 @@ class PathSearch:
         They lead to another goal, from the start, to the end, or around a corner, however near.
         """
         self._note(way, room)
+        random = self._random.random((attempts, NUMBERS))
+        if not self._space.has_rules:
+            way = yield from self._cut(way, room, random, most_in_vain)
+        else:
+            # Few at a time: those that do not keep the user's barriers are taken back together.
+            for first in range(0, attempts, _CUTS_AT_ONCE):
+                shorter = yield from self._cut(
+                    way, room, random[first:first + _CUTS_AT_ONCE], most_in_vain)
+                if (yield from self._space.keeps_rules(shorter)):
+                    way = shorter
+        self._note(way, room)
+        return way
+
+    def _cut(
+        self, way: Way, room: float, random: Array, most_in_vain: int,
+    ) -> Generator[None, None, Way]:
+        """Return a way with as much room after attempts (a, ...) to make it shorter."""
         space, goals = self._space, _stacked(self._goals)
         motion, needed = self._motion(), space.asked(room)
         work = new_shortening(*_stacked(way), space.joints.scaling)
-        random, over = self._random.random((attempts, NUMBERS)), False
+        over = False
         while not over:
             over, looked = shorten(
                 work, motion, *goals, random, needed, space.joints.scaling, space.reach,
@@ -281,9 +303,7 @@ class PathSearch:
             space.spend(looked * space.cost)
             yield
         count = work.numbers[COUNT]
-        shorter = _places(work.postures[:count], work.rooms[:count])
-        self._note(shorter, room)
-        return shorter
+        return _places(work.postures[:count], work.rooms[:count])
 
     def _motion(self) -> Motion:
         """Return memory for a motion between any two postures of the search."""

@@ -24,6 +24,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.safety.own_barriers import OwnBarriers
 from redundant_planner.core.safety.stages import Filtered
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.chunk_follower import ChunkFollower
@@ -58,7 +59,7 @@ class Way:
     def __init__(
         self, robot: Robot, parameters: PlannerParameters, limits: Limits,
         constants: RobotConstants, gains: Gains, before: Way | None = None,
-        coupling: Coupling | None = None,
+        coupling: Coupling | None = None, own: OwnBarriers | None = None,
     ) -> None:
         """Prepare for an arm; the other arguments are made of the parameters.
 
@@ -66,7 +67,9 @@ class Way:
             robot, parameters, limits, constants, gains: of the arm.
             before: the way with other parameters; a chunk goes on where it has got to.
             coupling: of tips that hold something together.
+            own: the user's barriers.
         """
+        self._own = own
         self._robot, self._constants = robot, constants
         self._joints = path_joints(constants, gains, limits)
         full_speed = np.maximum(parameters.twist_speeds, SLOWEST)
@@ -271,7 +274,7 @@ class Way:
             self._space[0] is obstacles or all(map(np.array_equal, self._space[0], obstacles)))
         if self._space is None or not known:
             self._space = obstacles, FreeSpace(
-                self._robot, self._constants, self._joints, obstacles)
+                self._robot, self._constants, self._joints, obstacles, self._own)
         return self._space[1]
 
 
