@@ -16,6 +16,7 @@ from rclpy.executors import Executor
 import viser
 
 from redundant_planner.core.errors import ObstacleError, PlannerError
+from redundant_planner.nodes.tip_topics import OBJECT
 from redundant_planner.playground.drive import DeadMan, twist_of
 from redundant_planner.playground.drive_controls import DriveControls
 from redundant_planner.playground.item_controls import ItemControls
@@ -214,17 +215,19 @@ class Playground:
             else:
                 self._dead_man.hold(wanted, held.at)
         shown = self._arms[self._driven]
-        target, released = driver.drive.take()
+        driver.drive.offer(shown.client.tips)
+        places = {} if shown.arm is None else shown.client.places(shown.arm)
+        targets, released = driver.drive.take()
         if released and driver.drive.stops_at_release:
             self._dead_man.stop(now)
-        elif target is not None:
-            shown.client.send_target(target)
+        else:
+            for name, target in targets.items():
+                shown.client.send_target(target, name)
         twist = self._dead_man.twist(now)
         if twist is not None:
-            shown.client.send_twist(twist)
-        at_target = bool(shown.client.target) or target is not None
-        if shown.arm is not None and not driver.drive.drags and not at_target:
-            driver.drive.follow(shown.arm)
+            shown.client.send_twist(twist, OBJECT if OBJECT in places else driver.drive.tip)
+        driver.drive.follow(places, {
+            name for name in places if name in targets or shown.client.is_aimed(name)})
 
     def _write_figures(self) -> None:
         """Write what is known now for all to see."""
@@ -283,7 +286,7 @@ class Playground:
                 f'<span hidden data-playground-token="{driver.token}"></span>', order=0)
             driver.drive = DriveControls(
                 client, self._later, stops_at_release=self._options.stops_at_release,
-                stop=self._stop, pause=self._pause, reset=self._reset)
+                stop=self._stop, pause=self._pause, reset=self._reset, couple=self._couple)
             driver.items = ItemControls(
                 client, self._world, self._later, self._add, self._world.change)
         self._driver = driver
@@ -300,6 +303,9 @@ class Playground:
 
     def _pause(self, paused: bool) -> None:
         self._arms[self._driven].client.pause(paused)
+
+    def _couple(self, together: bool) -> None:
+        self._arms[self._driven].client.couple(together)
 
     def _reset(self) -> None:
         self._arms[self._driven].client.reset()

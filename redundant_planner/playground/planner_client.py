@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 import time
 from typing import Any
@@ -14,7 +15,9 @@ import numpy.typing as npt
 import pinocchio as pin
 from rclpy.executors import Executor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -23,8 +26,8 @@ from visualization_msgs.msg import MarkerArray
 from redundant_planner.core.errors import PlannerError, StateError
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.goal import Target
 from redundant_planner.io.joint_turns import Seams
@@ -40,7 +43,9 @@ from redundant_planner.io.robot_files import robot_of_values
 from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.messages import twist_from_bytes, twist_to_message
 from redundant_planner.nodes.polled_subscription import PolledSubscription
+from redundant_planner.nodes.pose_messages import pose_of_message, pose_to_message
 from redundant_planner.nodes.state_report import TARGET
+from redundant_planner.nodes.tip_topics import OBJECT, OBJECT_POSE, text_of_tip, topic_of
 
 Array = npt.NDArray[np.float64]
 
@@ -50,6 +55,8 @@ _SILENCE = 1.0
 _STATES = 20
 # A command that has been silent for this long is none [s].
 _SILENCE_OF_TWIST = 0.2
+# What tips hold together is let go of once nothing is said of it for this long [s].
+_SILENCE_OF_OBJECT = 0.5
 # Commands, and messages of a topic of obstacles, that may wait for a look at them. Of commands a
 # look takes no more, however late it comes.
 _COMMANDS, _OBSTACLES = 100, 500
@@ -61,7 +68,7 @@ _PERIODS = 500
 # How the topic with the shape of another arm ends.
 _BODY = '/body'
 # What makes a robot, and not how it is moved.
-_OF_ROBOT = ('robot_description', 'tip_frame', 'base_frame', 'mount_frame', 'mount_pose',
+_OF_ROBOT = ('robot_description', 'tip_frame', 'tips', 'base_frame', 'mount_frame', 'mount_pose',
              'capsules', 'capsule', 'axes', 'command_frame', 'locked_joints')
 
 
@@ -143,10 +150,14 @@ class PlannerClient:
                                        (JointState, 'joint_command', _COMMANDS),
                                        (Twist, 'cmd_vel', 1)))
         self._twist, self._twist_at = np.zeros(6), -np.inf
-        self._twists = self._targets = None
+        self._twists: dict[str, Publisher] = {}
+        self._targets: dict[str, Publisher] = {}
+        self._object: Pose | None = None
+        self._object_at = -np.inf
+        self._drives = drives
         if drives:
-            self._twists = node.create_publisher(Twist, 'cmd_vel', 1)
-            self._targets = node.create_publisher(PoseStamped, 'target_pose', 1)
+            self._publish_for('', ())
+            self._couple = node.create_client(SetBool, f'{planner}/couple')
             self._pause = node.create_client(SetBool, f'{planner}/pause')
             self._reset = node.create_client(Trigger, f'{planner}/reset')
         executor.add_node(node)
@@ -240,6 +251,7 @@ class PlannerClient:
             if self.robot is None or made_of != self._made_of:
                 robot = robot_of_values(values)
                 self._made_of, self.robot, self.motion = made_of, robot, None
+                self._hear_tips(robot.tips)
                 self._reader, self._commands_reader = (
                     JointReader(robot.joint_names, Seams.of(robot)),
                     JointReader(robot.joint_names))
@@ -281,30 +293,77 @@ class PlannerClient:
             values = {value.key: value.value for value in status.values}
             self.target = {'message': status.message, **values} if values else {}
 
-    def send_twist(self, twist: Array) -> None:
-        """Command a twist (6,) in the planner's command frame [m/s, rad/s]."""
-        if self._twists is not None:
-            self._twists.publish(twist_to_message(twist))
+    def _publish_for(self, tip: str, tips: Sequence[str]) -> None:
+        self._twists[tip] = self._node.create_publisher(
+            Twist, topic_of(tip, 'cmd_vel', tips or ('',)), 1)
+        self._targets[tip] = self._node.create_publisher(
+            PoseStamped, topic_of(tip, 'target_pose', tips or ('',)), 1)
 
-    def send_target(self, pose: Pose) -> None:
-        """Send the tip to a pose in the base frame."""
-        if self._targets is None or self.robot is None:
+    def _hear_tips(self, tips: Sequence[str]) -> None:
+        """Hear of what several tips hold together, and be able to move it and each of them."""
+        if len(tips) < 2 or OBJECT in self._twists:
             return
-        message = PoseStamped()
-        message.header.frame_id = self.robot.base_frame
-        place, turn = message.pose.position, message.pose.orientation
-        place.x, place.y, place.z = pose.position.tolist()
-        turn.x, turn.y, turn.z, turn.w = quaternion_of(pose.rotation).tolist()
-        self._targets.publish(message)
+        self._node.create_subscription(PoseStamped, OBJECT_POSE, self._on_object, 1)
+        for tip in (*tips, OBJECT) if self._drives else ():
+            self._publish_for(tip, tips)
+
+    def _on_object(self, message: PoseStamped) -> None:
+        self._object, self._object_at = pose_of_message(message), time.monotonic()
+
+    @property
+    def tips(self) -> tuple[str, ...]:
+        """The tips of a body with several; none where there is one, or none is known."""
+        return self.robot.tips if self.robot is not None and len(self.robot.tips) > 1 else ()
+
+    def places(self, arm: Kinematics) -> dict[str, Pose]:
+        """Return what can be moved → where it is: '' for the only tip, or the tips' object."""
+        if not self.tips:
+            return {'': arm.tips.first}
+        if self._object is not None and time.monotonic() - self._object_at < _SILENCE_OF_OBJECT:
+            return {OBJECT: self._object}
+        return dict(zip(self.tips, arm.tips.each))
+
+    def is_aimed(self, tip: str) -> bool:
+        """Return whether a tip, or what the tips hold, has a target."""
+        text = self.target.get(TARGET, '')
+        return bool(text_of_tip(text, tip) if tip in self.tips else text)
+
+    def couple(self, together: bool) -> None:
+        """Have several tips hold one object, or let go."""
+        if self._twists:
+            self._couple.call_async(SetBool.Request(data=together)).add_done_callback(
+                self._on_coupled)
+
+    def _on_coupled(self, answer: Future) -> None:
+        result = answer.result()
+        self.trouble = '' if result.success else str(result.message)
+
+    def send_twist(self, twist: Array, tip: str = '') -> None:
+        """Command a twist (6,) in the planner's command frame [m/s, rad/s].
+
+        A twist of zero stops all tips: it ends their targets.
+
+        Args:
+            twist: (6,).
+            tip: of a body with several, or `OBJECT`.
+        """
+        for name, publisher in self._twists.items():
+            if bool(name) == bool(self.tips) and (name == tip or not twist.any()):
+                publisher.publish(twist_to_message(twist))
+
+    def send_target(self, pose: Pose, tip: str = '') -> None:
+        """Send a tip, or what the tips hold, to a pose in the base frame."""
+        if tip in self._targets and self.robot is not None:
+            self._targets[tip].publish(pose_to_message(pose, self.robot.base_frame))
 
     def pause(self, paused: bool) -> None:
         """Have the planner come to rest and be silent, or go on."""
-        if self._twists is not None:
+        if self._twists:
             self._pause.call_async(SetBool.Request(data=paused))
 
     def reset(self) -> None:
         """Have the planner forget where the path was leading."""
-        if self._twists is not None:
+        if self._twists:
             self._reset.call_async(Trigger.Request())
 
     def close(self) -> None:

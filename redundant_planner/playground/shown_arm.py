@@ -96,6 +96,9 @@ class ShownArm:
         robot, motion = self.client.robot, self.client.motion
         if not method or robot is None or motion is None:
             return
+        if len(robot.tips) > 1:
+            self.says = 'no ghost: there is none of a body with several tips'
+            return
         try:
             ghost = Ghost(robot, self.client.parameters, method, motion.measured, now)
         except ParameterError as error:

@@ -42,7 +42,7 @@ from redundant_planner.nodes.pose_messages import pose_of_message, pose_to_messa
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
 from redundant_planner.nodes.state_report import DOES_NOT_FOLLOW, TARGET
 from redundant_planner.nodes.supervisor import PAUSED_ALREADY
-from redundant_planner.nodes.tip_topics import OBJECT, OBJECT_POSE, topic_of
+from redundant_planner.nodes.tip_topics import OBJECT, OBJECT_POSE, text_of_tip, topic_of
 
 Array = npt.NDArray[np.float64]
 
@@ -266,12 +266,6 @@ class _Client:
         while not answer.done() and time.monotonic() < until:
             self.spin()
         return str(answer.result().message) if answer.done() else None
-
-
-def text_of_tip(text: str, tip: str) -> str:
-    """Return a tip's part of what ~/target says of targets of tips; empty if it has none."""
-    parts = (part.partition(': ') for part in text.split('; '))
-    return next((pose for name, _, pose in parts if name == tip), '')
 
 
 def target_of(

@@ -11,6 +11,8 @@ import signal
 import subprocess
 import sys
 import time
+from urllib.parse import parse_qs, urlsplit
+from urllib.request import urlopen
 
 from geometry_msgs.msg import Twist
 from live_helpers import LIVE, PATIENCE, station
@@ -90,12 +92,12 @@ def driven(tmp_path):
         end.callback(process.kill)
         ros.wait_for(lambda: 'open http' in log.read_text() or process.poll() is not None, 'it')
         text = log.read_text()
-        port, of_viser = (int(re.search(pattern, text).group(1)) for pattern in (
-            r'open http://localhost:(\d+)', r'ws://\S+?:(\d+)'))
+        address = re.search(r'open (http\S+)', text).group(1)
+        with urlopen(address) as page:
+            of_viser, = parse_qs(urlsplit(page.url).query)['websocket']
         visitor = end.enter_context(connect(
-            f'ws://localhost:{of_viser}', subprotocols=[f'viser-v{viser.__version__}'],
-            max_size=None))
-        yield Page(ros, process, port, token_of(visitor))
+            of_viser, subprotocols=[f'viser-v{viser.__version__}'], max_size=None))
+        yield Page(ros, process, urlsplit(address).port, token_of(visitor))
         # It ends while its page is open.
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0, log.read_text()
