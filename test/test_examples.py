@@ -52,7 +52,7 @@ def test_each_is_tested():
 
 @pytest.mark.long
 def test_rules_of_ones_own_are_kept_and_named(tmp_path):
-    without, text = run('09_own_rules.py', tmp_path).split('\nwith rules', 1)
+    without, text = run('10_own_rules.py', tmp_path).split('\nwith rules', 1)
     assert numbers(r'elbow keeps (-?[\d.]+) mm', without)[0] < 0.0
     (elbow,), (aside,) = (numbers(pattern, text) for pattern in (
         r'elbow keeps (-?[\d.]+) mm', r'up to ([\d.]+)° aside'))
