@@ -277,8 +277,8 @@ class Planner:
         if q is not None:
             due = robot.kinematics(q).tips
         if due is None:
-            raise StateError('the tips cannot be coupled before a tick has told where they are, or '
-                             'after a way of the joints; give q')
+            raise StateError('the tips cannot be coupled before a tick has told where they are, '
+                             'or after a way of the joints; give q')
         self._set_coupling(Coupling.of(due, None if held is None else checked_pose(held)))
 
     def uncouple(self) -> None:
