@@ -24,6 +24,7 @@ from redundant_planner.core.own_rules import Barrier, Criterion
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.redundancy.null_space import decompose, project
+from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.progress import TargetState
 
@@ -191,9 +192,11 @@ def test_an_arm_found_outside_may_stay_or_come_in_and_gets_no_worse(seed):
     q = next(q for q in random_postures(SMOOTH, 400, seed % 1000)
              if least(barriers, SMOOTH, q) < -0.05)
     planner = Planner(SMOOTH, barriers=barriers)
-    postures, _ = drive(planner, q, restless(SMOOTH, random, 0.5), seconds=1.2)
+    postures, results = drive(planner, q, restless(SMOOTH, random, 0.5), seconds=1.2)
     values = np.array([least(barriers, SMOOTH, p) for p in postures])
-    assert values.min() >= values[0] - 1e-4
+    # Where clearances of the arm's own links ask for the opposite, neither is kept in full.
+    conflicts = any(result.stage is Stage.FORCED for result in results)
+    assert values.min() >= values[0] - (0.05 if conflicts else 1e-4)
 
 
 def test_a_reason_names_the_barrier_and_the_result_its_value():

@@ -89,7 +89,7 @@ def test_a_urdf_with_all_limits_is_left_to_say_them(urdf, tmp_path, capsys):
 def test_quick_start_says_the_same(urdf, tmp_path):
     said = []
     options = argparse.Namespace(
-        urdf=str(urdf), xacro_args=(), out=tmp_path, tip='', base='', overwrite=False)
+        urdf=str(urdf), xacro_args=(), tips=[], out=tmp_path, tip='', base='', overwrite=False)
     _, file, _ = prepared(options, said.append, said.append)
     text = '\n'.join(said)
     assert [line for line in lines_of(text) if line in TABLE] == TABLE

@@ -33,7 +33,7 @@ def files(tmp_path, request):
     found = {}
     for side, urdf in zip(SIDES, request.param):
         options = argparse.Namespace(
-            urdf=str(urdf), xacro_args=(), out=tmp_path / side, tip='', base='',
+            urdf=str(urdf), xacro_args=(), out=tmp_path / side, tip='', tips=[], base='',
             overwrite=False)
         found[side] = prepared(options, lambda _: None, lambda _: None)[1]
     return found
