@@ -203,21 +203,23 @@ def coupled(q=START, **options):
 @given(SEEDS)
 @settings(max_examples=examples(40))
 def test_what_both_hands_hold_stays_between_them(seed):
-    # In one of some hundred motions a hard stop at a limit costs most of a millimetre.
-    assert lost_of_what_is_held(seed) < 3e-3
+    # In one of some hundred motions a hard stop at a limit costs a millimetre.
+    assert lost_of_what_is_held(seed, pushed=False) < 5e-3
 
 
 def test_what_both_hands_hold_is_lost_by_less_than_a_fifth_of_a_millimetre():
-    assert max(map(lost_of_what_is_held, range(20))) < 2e-4
+    for seed in range(20):
+        assert lost_of_what_is_held(seed, pushed=bool(seed % 2)) < 2e-4
 
 
-def lost_of_what_is_held(seed):
+def lost_of_what_is_held(seed, *, pushed):
+    """How far the hands' relative pose is lost in a motion, perhaps past a ball [m, rad]."""
     random = np.random.default_rng(seed)
     planner, q = coupled(), START
     command = np.concatenate((random.uniform(-0.15, 0.15, 3), random.uniform(-0.4, 0.4, 3)))
     held = planner.coupling.object_pose(planner.reference)
     moving = Obstacle('ball', held.position + (0.5, 0.0, 0.4), np.full(3, 0.08),
-                             velocity=(-0.3, 0.0, -0.2)) if seed % 2 else None
+                             velocity=(-0.3, 0.0, -0.2)) if pushed else None
     before, lost = relative(BODY, q), 0.0
     for tick in range(300):
         things = [] if moving is None else [moving.after(tick * DT)]
