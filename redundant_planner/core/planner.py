@@ -509,8 +509,10 @@ class Planner:
                     desired, wanted, barriers, start, joints, share, leaves=leaves)
             reason = self._reason(result, barriers, around, aim)
             if result.stage in _ON_PATH and joints is None:
-                possible = result.scale
-            result = result._replace(scale=share * result.scale)
+                possible = self._possible(result, start.command)
+            result = result._replace(
+                scale=share * result.scale,
+                scales=None if result.scales is None else share * result.scales)
         fallbacks = '; '.join(self._fallbacks(
             result, desired, aim.path is None and joints is None, crowded))
         jerk_kept = self._smoothing.keeps_jerk
@@ -777,6 +779,16 @@ class Planner:
             turning=np.concatenate((request.turning[:6], coupling.relative(turning.ravel(), arm))),
             share_of=np.repeat((0, 1), (6, len(rates))), path_axes=6,
             spare=1.0 / _COUPLED_ACCELERATION)
+
+    def _possible(self, result: Filtered, command: Array) -> float:
+        """Return the share of its command (6 t,) that the tip follows which is held up least.
+
+        Null-space motion is worth its while as long as one tip gets on.
+        """
+        if result.scales is None:
+            return result.scale
+        moves = command.reshape(-1, 6).any(axis=1)
+        return float(result.scales[moves].max(initial=0.0)) if moves.any() else result.scale
 
     def _share_on_path(self, twist: Array, task: Task) -> float:
         """Return the share of the command that a tip which leaves its path goes along it.

@@ -111,6 +111,34 @@ def test_what_is_in_one_hands_way_does_not_stop_the_other():
     assert right[2] > 0.9 * 0.03 * 400 * DT and np.abs(right[:2]).max() < 1e-3
 
 
+def test_a_hand_that_is_held_up_for_long_does_not_slow_the_other():
+    planner, q = Planner(BODY), START
+    wall = Obstacle.box(
+        'wall', BODY.kinematics(q).tip_positions[0] + (0.16, 0.0, 0.0), (0.02, 0.3, 0.3))
+    shares = []
+    for tick in range(1600):  # 4 s of them in front of the wall
+        up = 0.03 if tick // 400 % 2 == 0 else -0.03
+        result = planner.step(q, twists((0.1,), (0.0, 0.0, up)), [wall], DT)
+        q = q + DT * result.dq
+        shares.append([tip.scale for tip in result.tips])
+    left, right = np.mean(shares[600:], axis=0)
+    assert left < 0.05 and right > 0.95
+
+
+def test_the_share_that_slow_down_leaves_is_each_tips_own():
+    robot = make_two_handed(jerk_max=np.inf)
+    planner = Planner(robot, PlannerParameters(slow_down=('person=0.2:6.0',)))
+    q, command = START, twists((0.0, 0.05), (0.0, -0.05))
+    person = Obstacle('person', robot.kinematics(q).tip_positions.mean(axis=0) + (0.35, 0.0, 0.0),
+                      np.full(3, 0.03))
+    for _ in range(200):
+        result = planner.step(q, command, [person], DT)
+        q = q + DT * result.dq
+        for tip in result.tips:
+            assert np.abs(tip.path_error).max() < 1e-3
+    assert 0.0 < result.scale < 0.9
+
+
 def run_to(planner, q, target, seconds, obstacles=(), twist=None):
     twist = np.zeros((len(planner.robot.tips), 6)) if twist is None else twist
     states = []
