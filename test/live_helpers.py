@@ -160,6 +160,18 @@ def run_node(node, *arguments):
         return status, Path(errors.name).read_text()
 
 
+def every(seconds, what):
+    """Call something no more often than that."""
+    last = [-np.inf]
+
+    def call():
+        if time.monotonic() > last[0] + seconds:
+            last[0] = time.monotonic()
+            what()
+
+    return call
+
+
 def children_of(marker: str) -> list[str]:
     """Command lines of live processes of this package that carry a marker in their environment."""
     found = []

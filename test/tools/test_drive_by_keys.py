@@ -8,10 +8,9 @@ import pty
 import signal
 import subprocess
 import sys
-import time
 
 from geometry_msgs.msg import Twist
-from live_helpers import LIVE, station
+from live_helpers import every, LIVE, station
 import numpy as np
 import pytest
 
@@ -81,7 +80,7 @@ def test_a_key_is_a_stream_of_twists_that_ends_with_a_zero(by_signal):
         def press_until_heard():
             os.write(ours, b'a')
 
-        ros.wait_for(lambda: len(heard) > 5, 'twists', meanwhile=_every(0.1, press_until_heard))
+        ros.wait_for(lambda: len(heard) > 5, 'twists', meanwhile=every(0.1, press_until_heard))
         assert all(m.linear.y in (0.0, 0.2) for m in heard) and heard[-1].linear.y == 0.2
         if by_signal:
             process.send_signal(signal.SIGINT)
@@ -92,15 +91,3 @@ def test_a_key_is_a_stream_of_twists_that_ends_with_a_zero(by_signal):
         assert process.returncode == 0
         os.close(theirs)
         os.close(ours)
-
-
-def _every(seconds, what):
-    """Call something no more often than that."""
-    last = [-np.inf]
-
-    def call():
-        if time.monotonic() > last[0] + seconds:
-            last[0] = time.monotonic()
-            what()
-
-    return call

@@ -9,10 +9,9 @@ import re
 import signal
 import subprocess
 import sys
-import time
 
 from conftest import HANDS, make_two_handed, two_handed_urdf
-from live_helpers import LIVE, PATIENCE, station
+from live_helpers import every, LIVE, PATIENCE, station
 import numpy as np
 import pytest
 from std_srvs.srv import SetBool
@@ -63,18 +62,6 @@ def run(ros, tool, *arguments):
     ros.wait_for(lambda: process.poll() is not None, f'the end of {tool}')
     out, err = process.communicate()
     return process.returncode, out, err
-
-
-def every(seconds, what):
-    """Call something no more often than that."""
-    last = [-np.inf]
-
-    def call():
-        if time.monotonic() > last[0] + seconds:
-            last[0] = time.monotonic()
-            what()
-
-    return call
 
 
 def tips(ros):
