@@ -30,7 +30,7 @@ from benchmark.fuzz.tally import Tally
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.payload import Payload
 from redundant_planner.io.resources import share_directory
@@ -124,9 +124,11 @@ def _ticks(
         book.expire(clock[0])
         scene = book.scene
         tally.check_finite(scene.centers, scene.rotations, scene.half_extents, scene.velocities)
+        tips = robot.kinematics(q).tips
         result = tally.attempt(lambda: planner.step(
-            q, command.twist(10.0), book.scene, DT, command.ahead(10.0),  # noqa: B023
-            command.target(planner.reference or _tip(robot, q))))  # noqa: B023
+            q, command.twist(10.0, lambda: tips), book.scene, DT,  # noqa: B023
+            command.ahead(10.0),
+            command.target(planner.references or tips)))  # noqa: B023
         if result is None or not tally.check_finite(result.dq):
             planner.reset()
             return START.copy(), np.zeros(robot.n)
@@ -137,11 +139,6 @@ def _ticks(
         q = q + DT * dq
         clock[0] += DT
     return q, dq
-
-
-def _tip(robot: Robot, q: Array) -> Pose:
-    arm = robot.kinematics(q)
-    return Pose(arm.tip_position, arm.tip_rotation)
 
 
 def _number(random: Random, size: float = 1.0) -> float:
