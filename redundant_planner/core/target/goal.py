@@ -70,15 +70,8 @@ def _check_range(chunk: Chunk, robot: Robot) -> None:
             for j in np.flatnonzero(beyond)))
 
 
-def poses_of_tips(
-    targets: TipTargets, robot: Robot, others: Poses,
-) -> Poses:
-    """Return where each tip of a robot shall go.
-
-    Args:
-        targets: of some tips.
-        robot: the robot.
-        others: where the tips without one shall be.
+def checked_targets(targets: TipTargets, robot: Robot) -> None:
+    """Check where tips shall go.
 
     Raises:
         StateError: there is no such tip, or a pose is none.
@@ -87,6 +80,19 @@ def poses_of_tips(
     if unknown or not targets:
         raise StateError(f'there are targets for {known(unknown) if unknown else "no tip"}; '
                          f"the tips of '{robot.name}' are {known(robot.tips)}")
+    for pose in targets.values():
+        if pose is not None:
+            checked_pose(pose)
+
+
+def poses_of_tips(targets: TipTargets, robot: Robot, others: Poses) -> Poses:
+    """Return where each tip of a robot shall go.
+
+    Args:
+        targets: of some tips, checked.
+        robot: the robot.
+        others: where the tips without one shall be.
+    """
     given = (targets.get(tip) for tip in robot.tips)
     return Poses.of(*(other if pose is None else checked_pose(pose)
                       for pose, other in zip(given, others.each)))

@@ -46,7 +46,7 @@ class Sighting(NamedTuple):
 
 
 def checked_news(
-    news: Sequence[Sighting], target: Target | None, robot: Robot,
+    news: Sequence[Sighting], target: Target | TipTargets | None, robot: Robot,
 ) -> tuple[Sighting, ...]:
     """Return the targets that came since the last tick, as arrays of numbers.
 
@@ -66,13 +66,18 @@ def checked_news(
                        if pose is not None}
         else:
             checked = checked_goal(given, robot)
-        if (Poses if isinstance(checked, Mapping) else type(checked)) is not type(target):
+        if _kind_of(checked) is not _kind_of(target):
             raise StateError('news has a target of another kind than the one that holds: '
                              f'{shown(given)}')
         if age is not None and not abs(age) < math.inf:
             raise StateError(f'news has a target of age {age}; it must be finite, or None')
         found.append(Sighting(checked, age))
     return tuple(found)
+
+
+def _kind_of(target: Target | TipTargets | None) -> type:
+    """Return the type of a target: poses for those of several tips."""
+    return Poses if isinstance(target, Mapping) else type(target)
 
 
 class MovingTarget:

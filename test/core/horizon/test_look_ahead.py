@@ -51,7 +51,7 @@ def test_an_arm_beside_its_plan_does_not_change_the_plans_velocity(planar):
 
 def look_ahead():
     planner = Planner(make_panda(), PlannerParameters())
-    return planner._look_ahead
+    return planner._aiming._look_ahead
 
 
 @pytest.mark.parametrize('free, expected', [(True, 0.4), (False, 0.02)])
@@ -96,8 +96,8 @@ def test_among_what_moves_it_turns_back_at_once():
 
 def test_variational_follows_its_path_always():
     planner = Planner(make_panda(), PlannerParameters(method='variational'))
-    assert isinstance(planner._look_ahead, LookAhead)
-    planner._look_ahead.switch(False, DT)
+    assert isinstance(planner._aiming._look_ahead, LookAhead)
+    planner._aiming._look_ahead.switch(False, DT)
     assert planner.guided == 1.0
 
 
@@ -157,7 +157,7 @@ def test_a_path_made_ready_in_vain_is_forgotten():
             at = at + DT * planner.step(at, scenario.twist_at(1.0), scene, DT).dq
         postures[name] = at
     np.testing.assert_allclose(postures['ready'], postures['fresh'], atol=1e-12)
-    assert not ready._look_ahead._has_planned and ready.guided == 0.0
+    assert not ready._aiming._look_ahead._has_planned and ready.guided == 0.0
 
 
 @pytest.mark.first_alone

@@ -156,7 +156,7 @@ def test_a_better_rest_is_taken_up_in_motion_without_a_jump():
     curves = []
 
     def watched(_):
-        way = run.planner._way._free
+        way = run.planner._aiming._way._free
         if way.stretch is Stretch.FOLLOWING and (not curves or way._points is not curves[-1]):
             curves.append(way._points)
         return target
