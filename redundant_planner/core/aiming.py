@@ -70,6 +70,7 @@ class Aiming:
         self._look_ahead = LookAhead(robot, p, limits, constants, gains)
         known = None if before is None else before._way
         self._way: Way = Way(robot, p, limits, constants, gains, known, commands.coupling, own)
+        self._is_led: bool = before is not None and before._is_led  # to a target
         self._back = ComingBack(robot, constants)
         self._evasive = EvasivePlan(robot, constants, limits, gains)
         self._evades = (
@@ -80,13 +81,14 @@ class Aiming:
     def reset(self) -> None:
         """Forget everything: the arm stands where it is found."""
         self._look_ahead.reset()
-        self._way.reset()
+        self.forget_target()
         self._back.reset()
         self._evasive.reset()
 
     def forget_target(self) -> None:
         """Forget the way to the target."""
         self._way.reset()
+        self._is_led = False
 
     def leave_path(self) -> None:
         """Forget that the arm has to come back to a path."""
@@ -128,9 +130,10 @@ class Aiming:
         goal: Target | None = self._back.target if target is None else target
         if target is not None:
             self._back.reset()
-        if goal is None:
-            self._way.reset()
-        else:
+        if goal is None and self._is_led:
+            self.forget_target()
+        if goal is not None:
+            self._is_led = True
             command, ahead, motion = self._way.aim(
                 start, goal, self._robot.full_twist(last.followed), delay, watch.everywhere,
                 asked.news, free=target is None)
@@ -199,18 +202,18 @@ class Aiming:
             last: what the one before left.
             by_target: whether a target commands.
         """
-        start = aim.start
-        tips, dt = start.arm.tips, start.dt
+        start, dt = aim.start, aim.start.dt
         path = aim.mode.after(result, desired, start, last)
         if isinstance(aim.mode, ByJoints) or self._way.is_along_chunk:
             self._way.went_on(result, dt)
         leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
         if result.stage is Stage.SLIDING:  # as commanded, which no free way back overrules
             self._back.reset()
-        if not by_target and (leaving or self._back.is_away) and self._back.note(
-                last.reference or tips, tips, path.followed, dt, leaving=leaving,
-                lost=bool(self._way.lacks)):
-            path = path._replace(reached=None)
+        if not by_target and (leaving or self._back.is_away):
+            tips = start.arm.tips
+            if self._back.note(last.reference or tips, tips, path.followed, dt, leaving=leaving,
+                               lost=bool(self._way.lacks)):
+                path = path._replace(reached=None)
         self._look_ahead.note(result.scale, dt)
         return path
 

@@ -97,12 +97,13 @@ class Guard:
         self._way_out.forget()
 
     def guarded(
-        self, aim: Aim, desired: Wish, rows: Rows, scene: Scene, around: Surroundings,
-        last: LastTick, own: OwnRows | None, *, gently: bool,
+        self, wanted: Array, aim: Aim, desired: Wish, rows: Rows, scene: Scene,
+        around: Surroundings, last: LastTick, own: OwnRows | None, *, gently: bool,
     ) -> Guarded:
         """Return what may be commanded of what is wanted.
 
         Args:
+            wanted: (n,) the velocity.
             aim, desired: of the tick.
             rows: where its barriers are.
             scene, around: the obstacles, and those near the arm.
@@ -111,7 +112,6 @@ class Guard:
             gently: whether the arm is only to show that it follows.
         """
         mode, start = aim.mode, aim.start
-        wanted = mode.wanted(desired)
         if own is not None and own.broken:
             result = _braking(start, self.limits.acceleration_max)
             return Guarded(result, result.scale, (

@@ -304,10 +304,10 @@ class Planner:
         # Guard: every limit and barrier, docs/safety.md.
         crowded = self._aiming.switch(aim, desired, around, self._watch)
         own = self._own_rows(aim.start)
-        guarded = Guarded.untouched(aim.mode.wanted(desired))
-        if self._filtered:
-            guarded = self._guard.guarded(
-                aim, desired, self._setup.value.rows, scene, around, last, own, gently=gently)
+        wanted = aim.mode.wanted(desired)
+        guarded = self._guard.guarded(
+            wanted, aim, desired, self._setup.value.rows, scene, around, last, own, gently=gently
+        ) if self._filtered else Guarded.untouched(wanted)
 
         # Remember: where the tip should be, and how fast the arm is.
         path = self._aiming.note(
@@ -317,10 +317,9 @@ class Planner:
         result, fallback = guarded.result, self._fallback(aim, desired, guarded, crowded)
         jerk_kept = self._smoothing.keeps_jerk
         reasons = fallback, aim.says, *guarded.says, '' if jerk_kept else _JERK_GIVES_WAY
-        _, least_norm, homogeneous = desired.motions
-        error = desired.task.error
+        motions, error = desired.motions, desired.task.error
         return StepResult(
-            self._smoothing.sent.copy(), least_norm, homogeneous, desired.factor,
+            self._smoothing.sent.copy(), motions[1], motions[2], desired.factor,
             result.scale, result.stage, '; '.join(filter(None, reasons)), fallback,
             desired.clearance_index, self._nearest(desired, around),
             desired.manipulability, tips.first, error[:6], jerk_kept,
@@ -395,8 +394,7 @@ class Planner:
     def _fallback(self, aim: Aim, desired: Wish, guarded: Guarded, crowded: bool) -> str:
         """Say which bounds on its work a tick reached, and what was done instead."""
         said = self._aiming.fallbacks(aim, crowded=crowded)
-        for stage in guarded.result.cut_short:
-            said.append(f'out of iterations where {stage.value}')
+        said += [f'out of iterations where {stage.value}' for stage in guarded.result.cut_short]
         if self._filtered and desired.unseen_share < 1.0:
             said.append('slower among more obstacles than a tick takes in: '
                         f'{math.floor(100.0 * desired.unseen_share)}% of the speed')
