@@ -138,6 +138,7 @@ def along_trajectory(robot: Robot, seed: int, hits: bool) -> dict[str, Any]:
     motion = Motion.through(capsules_of(robot), np.array(postures))
     dense = curve_of(chunk)(np.linspace(0.0, chunk.times[-1], round(chunk.times[-1] / 5e-4)))
     seconds = DT * len(velocities)
+    assert result.progress is not None, 'a chunk commands'
     return {
         'kind': 'hits' if hits else 'free', 'seed': seed, 'state': state.value,
         'clearance_m': min(motion.to_obstacles(obstacles, DT).distance,

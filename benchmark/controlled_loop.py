@@ -22,6 +22,7 @@ from rclpy.serialization import serialize_message
 from benchmark.ros2_control import Broadcaster, Manager, OUTPUTS, Point, Settings, VELOCITY
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.obstacle_sources import ObstacleSources
@@ -145,7 +146,7 @@ class ControlledLoop:
         self.robot = robot
         period = 1.0 / rate
         self.manager = Manager(
-            robot.joint_names, start, controller, list(joints) or robot.joint_names,
+            robot.joint_names, start.tolist(), controller, list(joints) or robot.joint_names,
             1.0 / (manager_rate or rate), settings or Settings())
         self.now = _BEGIN
         self.warnings: list[tuple[float, str]] = []
@@ -181,9 +182,10 @@ class ControlledLoop:
                                  robot.position_min, robot.position_max),
             last_word=LastWord.absent('simulated'), guard=guard, warn=self._warn,
             publish_tick=None)
-        self.loop.inboxes = [(self._states, self.loop.on_joint_states),
-                             (self._twists, command.on_twist),
-                             (self._targets, self.loop.on_joint_target)]
+        inboxes: list[Any] = [(self._states, self.loop.on_joint_states),
+                              (self._twists, command.on_twist),
+                              (self._targets, self.loop.on_joint_target)]
+        self.loop.inboxes = inboxes
 
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Let time pass; return whether it ended before, as `until` came true after a tick."""
@@ -244,6 +246,7 @@ class ControlledLoop:
             'joint_trajectory': self._on_trajectory}.get(topic, self._on_values))
 
     def _on_command(self, raw: bytes) -> None:
+        assert isinstance(self.loop.planner, Planner)
         self._reader.read(raw)
         velocities = self._reader.velocities(raw)
         assert velocities is not None

@@ -195,7 +195,7 @@ class LeastDeviation:
             'lbg': np.concatenate([np.full(k, low) for k, (_, low, _) in zip(sizes, rows)]),
             'ubg': np.concatenate([np.full(k, high) for k, (_, _, high) in zip(sizes, rows)])}
 
-    def _near_rows(self) -> Array:
+    def _near_rows(self) -> npt.NDArray[np.intp]:
         """Return which clearances to look at, of those of every link and obstacle in turn."""
         links, obstacles = self._robot.capsules, self._task.obstacles
         near = np.zeros((2 * self._count, len(links), len(obstacles)), dtype=bool)

@@ -70,8 +70,8 @@ class Point(NamedTuple):
     """A point of a trajectory: [s], and for the joints that it names [rad, m; per s]."""
 
     time: float
-    positions: Sequence[float]
-    velocities: Sequence[float] = ()
+    positions: Sequence[float] | Array
+    velocities: Sequence[float] | Array = ()
 
 
 class Manager:

@@ -10,6 +10,7 @@ import numpy as np
 from benchmark.example_arms import ROBOTS
 from benchmark.scenarios import make_robot
 from redundant_planner.core.robot.capsules import Capsule
+from redundant_planner.core.robot.model import Robot as Arm
 from redundant_planner.io.robot_files import Robot
 
 BODIES = ('tiago_dual', 'baxter', 'lift', 'base')
@@ -100,7 +101,7 @@ def _joint(
 
 
 def _add(
-    robot: ElementTree.Element, arm: Robot, prefix: str, parent: str,
+    robot: ElementTree.Element, arm: Arm, prefix: str, parent: str,
     place: tuple[float, float, float],
 ) -> None:
     """Add an arm's links and joints, with a prefix to their names, on a link of the robot's."""

@@ -9,13 +9,14 @@ touches an obstacle or another link (by coal), and that no limit is exceeded.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 import json
 from multiprocessing import Pool
 from pathlib import Path
 import time
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,7 @@ from redundant_planner.core.target.progress import TargetState
 from redundant_planner.io.robot_files import Robot
 
 Array = npt.NDArray[np.float64]
+T = TypeVar('T')
 
 DT = 0.004
 _LONGEST = 20.0  # [s]
@@ -190,8 +192,12 @@ def coupled_problem_of(robot: Robot, seed: int) -> Problem:
 
 def _part(bodies: Bodies, chosen: list[int]) -> Bodies:
     """Return some of an arm's shapes."""
-    return Bodies(bodies.model, *(tuple(field[i] for i in chosen) for field in (
-        bodies.names, bodies.links, bodies.joints, bodies.placements, bodies.shapes)), [])
+    def some(field: Sequence[T]) -> tuple[T, ...]:
+        return tuple(field[i] for i in chosen)
+
+    return replace(
+        bodies, names=some(bodies.names), links=some(bodies.links), joints=some(bodies.joints),
+        placements=some(bodies.placements), shapes=some(bodies.shapes), self_pairs=[])
 
 
 def _is_good(robot: Robot, bodies: Bodies, q: Array) -> bool:

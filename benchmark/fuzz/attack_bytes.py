@@ -7,6 +7,7 @@ node. What they let through goes into a planner in motion.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 import pathlib
 from typing import Any
@@ -82,7 +83,7 @@ def attack(random: Random, folder: pathlib.Path, tally: Tally) -> None:
         which = joints.read(raw)
         return joints.posture[which]
 
-    takers = {
+    takers: dict[str, Callable[[bytes], Any]] = {
         'attached': attach, 'joint_states': measured,
         'obstacles': lambda raw: book.update(raw, clock[0]), 'cmd_vel': command.on_twist,
         'stamped': command.on_twist_stamped, 'preview': command.on_preview,

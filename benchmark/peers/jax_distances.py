@@ -7,6 +7,7 @@ change a distance to second order only (the envelope theorem).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -32,8 +33,10 @@ def capsule_gap(starts, ends, other_starts, other_ends):  # type: ignore
     return jnp.linalg.norm(between + s * along - t * other, axis=1)
 
 
-def to_shapes(starts, ends, kinds: Sequence[tuple[str, tuple[float, ...]]], centers, rotations):
-    # type: ignore
+def to_shapes(
+    starts: Any, ends: Any, kinds: Sequence[tuple[str, tuple[float, ...]]], centers: Any,
+    rotations: Any,
+) -> Any:
     """Return the distances (o, c) of shapes to segments by their ends (c, 3); negative inside.
 
     Args:

@@ -23,6 +23,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose, pose_error
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
 
 _SPEED_WEIGHT = 0.01  # λ
 _SLACK = 10.0  # the most [m/s, rad/s]
@@ -117,7 +118,7 @@ class Neo:
         return np.array(rows).reshape(-1, self._robot.n), np.array(most)
 
 
-def manipulability_gradient(jacobian: Array, rows: Array) -> Array:
+def manipulability_gradient(jacobian: Array, rows: Indices) -> Array:
     """Return the gradient (n,) of √det(JJᵀ) from a tip's Jacobian (6, n) in the base frame.
 
     ∂m/∂q_k = m · trace(J⁺ ∂J/∂q_k), with the Hessian of Haviland and Corke (2021).

@@ -24,7 +24,7 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 Array = npt.NDArray[np.float64]
 
 # Types of shape_msgs/SolidPrimitive, by name and number, and how many dimensions they take.
-_TYPES = {1: 'box', 2: 'sphere', 3: 'cylinder'}
+_TYPES: dict[Any, str] = {1: 'box', 2: 'sphere', 3: 'cylinder'}
 _DIMENSIONS = {'box': ('length, width and height', 3), 'sphere': ('radius', 1),
                'cylinder': ('height and radius', 2)}
 # Whatever else may stand in a collision object, but not here.

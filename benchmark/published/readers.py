@@ -68,12 +68,13 @@ def tabletop(folder: Path, count: int) -> list[Scene]:
     drawn = list(calls(tree, 'random.uniform'))
     low, high = (numbers(_given(drawn[0], key, _TABLETOP)) for key in ('low', 'high')) \
         if len(drawn) == 2 and seed is not None else _fail(_TABLETOP, 'a seed and two uniforms')
-    radii = [number(_given(drawn[1], key, _TABLETOP)) for key in ('low', 'high')]
+    assert seed is not None
+    smallest, largest = (number(_given(drawn[1], key, _TABLETOP)) for key in ('low', 'high'))
     most = int(number(_assigned(tree, 'max_num_bodies', _TABLETOP)))
     top = number(_assigned(tree, 'z_min', _TABLETOP))
     random = np.random.RandomState(int(number(seed.args[0])))
     centers = random.uniform(low, high, size=(most, 3))
-    sizes = random.uniform(*radii, size=most)
+    sizes = random.uniform(smallest, largest, size=most)
     start = _start_of(tree_of(folder, _ENVIRONMENT, _OSCBF))
     targets = np.random.default_rng(1).uniform(low, [*high[:2], 0.5], size=(count, 3))
     middle = 0.5 * (low + high)

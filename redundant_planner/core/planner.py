@@ -17,7 +17,6 @@ from redundant_planner.core.aiming import Aiming
 from redundant_planner.core.commands import Commands
 from redundant_planner.core.constants import gains_of, robot_constants
 from redundant_planner.core.errors import known, ParameterError, PlannerError, shown, StateError
-from redundant_planner.core.guard import Guard, Guarded
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.machine_code.packed import Packed
 from redundant_planner.core.modes import Aim, LastTick, Path
@@ -35,6 +34,7 @@ from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.joint_observer import JointObserver
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose, Poses
+from redundant_planner.core.safeguard import Admitted, Safeguard
 from redundant_planner.core.safety.barriers import room_for_rows
 from redundant_planner.core.safety.jerk import reversal_time, Smoothing
 from redundant_planner.core.safety.own_barriers import OwnBarriers, OwnRows
@@ -116,20 +116,21 @@ class Planner:
             raise ParameterError(
                 f"parameter 'method' is '{parameters.method}'; a planner that began with one of "
                 f'{known(METHODS)} keeps to these')
-        robot = self.robot
+        robot, own = self.robot, self._own_barriers
         constants, gains = robot_constants(robot, parameters), gains_of(parameters)
-        guard = Guard(robot, parameters, constants, self._commands, self._own_barriers.names)
-        watch = ObstacleWatch(robot, parameters, guard.limits, constants, gains)
+        safeguard = Safeguard(robot, parameters, constants, self._commands, own.names)
+        limits = safeguard.limits
+        watch = ObstacleWatch(robot, parameters, limits, constants, gains)
         # Nothing has changed where one of these refused the parameters.
         self._margin_grew = self._margin_grew or (
             parameters.clearance_margin > self._parameters.clearance_margin)
-        self._parameters, self._constants, self._limits = parameters, constants, guard.limits
+        self._parameters, self._constants, self._limits = parameters, constants, limits
         self._setup = Packed.of(Setup(
-            constants, guard.limits, gains, room_for_rows(constants, len(robot.tips))))
+            constants, limits, gains, room_for_rows(constants, len(robot.tips))))
         self._aiming = Aiming(
-            robot, parameters, constants, gains, guard.limits, self._commands, self._own_barriers,
-            filtered=self._filtered, before=getattr(self, '_aiming', None))
-        self._watch, self._guard = watch, guard
+            robot, parameters, constants, gains, limits, self._commands, own, filtered=self._filtered,
+            before=getattr(self, '_aiming', None))
+        self._watch, self._safeguard = watch, safeguard
         drive = parameters.drive_lag, parameters.drive_dead_time
         if drive != (self._observer.lag, self._observer.dead_time):
             self._observer = JointObserver(robot.n, *drive)
@@ -201,7 +202,7 @@ class Planner:
         self._smoothing.reset()
         self._observer.reset()
         self._aiming.reset()
-        self._guard.reset()
+        self._safeguard.reset()
         self._watch.reset()
 
     def _scene_of(self, given: Scene | Sequence[Obstacle]) -> Scene:
@@ -305,18 +306,18 @@ class Planner:
         crowded = self._aiming.switch(aim, desired, around, self._watch)
         own = self._own_rows(aim.start)
         wanted = aim.mode.wanted(desired)
-        guarded = self._guard.guarded(
+        admitted = self._safeguard.admitted(
             wanted, aim, desired, self._setup.value.rows, scene, around, last, own, gently=gently
-        ) if self._filtered else Guarded.untouched(wanted)
+        ) if self._filtered else Admitted.untouched(wanted)
 
         # Remember: where the tip should be, and how fast the arm is.
         path = self._aiming.note(
-            aim, guarded.result, desired, last, by_target=target is not None)
-        self._remember(guarded, path, desired, dt)
+            aim, admitted.result, desired, last, by_target=target is not None)
+        self._remember(admitted, path, desired, dt)
 
-        result, fallback = guarded.result, self._fallback(aim, desired, guarded, crowded)
+        result, fallback = admitted.result, self._fallback(aim, desired, admitted, crowded)
         jerk_kept = self._smoothing.keeps_jerk
-        reasons = fallback, aim.says, *guarded.says, '' if jerk_kept else _JERK_GIVES_WAY
+        reasons = fallback, aim.says, *admitted.says, '' if jerk_kept else _JERK_GIVES_WAY
         motions, error = desired.motions, desired.task.error
         return StepResult(
             self._smoothing.sent.copy(), motions[1], motions[2], desired.factor,
@@ -341,9 +342,9 @@ class Planner:
             for barrier, value in zip(self._own_barriers.barriers, own.values))
         return values + self._own_criteria.values
 
-    def _remember(self, guarded: Guarded, path: Path, desired: Wish, dt: float) -> None:
+    def _remember(self, admitted: Admitted, path: Path, desired: Wish, dt: float) -> None:
         """Note what a tick leaves to the next."""
-        result, last = guarded.result, self._last
+        result, last = admitted.result, self._last
         self._observer.commanded(self._smoothing.take(result.dq), dt)
         # Where a margin has grown and nothing moves, jerk does not give way.
         rushes = result.stage is Stage.FORCED and desired.intruded and not (
@@ -352,7 +353,7 @@ class Planner:
             result.dq, path.reached, path.followed,
             result.stage in (Stage.YIELDING, Stage.FORCED),
             _RUSH if rushes else last.rush - dt,
-            last.share + (1.0 - math.exp(-dt / _LATELY)) * (guarded.possible - last.share),
+            last.share + (1.0 - math.exp(-dt / _LATELY)) * (admitted.possible - last.share),
             result.stage is Stage.SLIDING)
         self._margin_grew = self._margin_grew and desired.intruded
 
@@ -391,10 +392,10 @@ class Planner:
             self._last = self._last._replace(dq=self._smoothing.latest)
         return posture
 
-    def _fallback(self, aim: Aim, desired: Wish, guarded: Guarded, crowded: bool) -> str:
+    def _fallback(self, aim: Aim, desired: Wish, admitted: Admitted, crowded: bool) -> str:
         """Say which bounds on its work a tick reached, and what was done instead."""
         said = self._aiming.fallbacks(aim, crowded=crowded)
-        said += [f'out of iterations where {stage.value}' for stage in guarded.result.cut_short]
+        said += [f'out of iterations where {stage.value}' for stage in admitted.result.cut_short]
         if self._filtered and desired.unseen_share < 1.0:
             said.append('slower among more obstacles than a tick takes in: '
                         f'{math.floor(100.0 * desired.unseen_share)}% of the speed')

@@ -44,7 +44,7 @@ _ON_PATH = (*_SLOWER_STAGES, Stage.STOPPED)
 _GENTLE = 0.05
 
 
-class Guarded(NamedTuple):
+class Admitted(NamedTuple):
     """What may be commanded.
 
     Attributes:
@@ -58,13 +58,13 @@ class Guarded(NamedTuple):
     says: tuple[str, str]
 
     @classmethod
-    def untouched(cls, wanted: Array) -> Guarded:
+    def untouched(cls, wanted: Array) -> Admitted:
         """Return a velocity (n,) as it is."""
         return cls(Filtered.untouched(wanted), 1.0, ('', ''))
 
 
-class Guard:
-    """The guard of one arm.
+class Safeguard:
+    """What keeps one arm safe.
 
     Attributes:
         limits: of the joints.
@@ -96,10 +96,10 @@ class Guard:
         """Forget what was found out about the posture."""
         self._way_out.forget()
 
-    def guarded(
+    def admitted(
         self, wanted: Array, aim: Aim, desired: Wish, rows: Rows, scene: Scene,
         around: Surroundings, last: LastTick, own: OwnRows | None, *, gently: bool,
-    ) -> Guarded:
+    ) -> Admitted:
         """Return what may be commanded of what is wanted.
 
         Args:
@@ -114,7 +114,7 @@ class Guard:
         mode, start = aim.mode, aim.start
         if own is not None and own.broken:
             result = _braking(start, self.limits.acceleration_max)
-            return Guarded(result, result.scale, (
+            return Admitted(result, result.scale, (
                 '', f'{result.stage.value}: {known(own.broken)} is not a finite number'))
         share, slower = 1.0, ''
         if not mode.leaves:
@@ -123,7 +123,7 @@ class Guard:
                 share = min(share, _GENTLE / max(float(np.abs(wanted).max()), _GENTLE))
         if mode.keeps_path and share == 1.0 and desired.admissible and (
                 own is None or self._keeps(wanted, own, start)):
-            return Guarded.untouched(wanted)
+            return Admitted.untouched(wanted)
         barriers = barriers_in(rows, desired.rows_used)
         if own is not None:
             barriers = with_rows(barriers, own.barriers)
@@ -136,7 +136,7 @@ class Guard:
         if result.stage in _ON_PATH and (mode.keeps_path or mode.leaves):
             possible = possible_share(result, start.command)
         says = slower, self._reason(result, barriers, around, aim)
-        return Guarded(result._replace(
+        return Admitted(result._replace(
             scale=share * result.scale,
             scales=None if result.scales is None else share * result.scales), possible, says)
 
