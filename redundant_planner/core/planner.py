@@ -128,8 +128,8 @@ class Planner:
         self._setup = Packed.of(Setup(
             constants, limits, gains, room_for_rows(constants, len(robot.tips))))
         self._aiming = Aiming(
-            robot, parameters, constants, gains, limits, self._commands, own, filtered=self._filtered,
-            before=getattr(self, '_aiming', None))
+            robot, parameters, constants, gains, limits, self._commands, own,
+            filtered=self._filtered, before=getattr(self, '_aiming', None))
         self._watch, self._safeguard = watch, safeguard
         drive = parameters.drive_lag, parameters.drive_dead_time
         if drive != (self._observer.lag, self._observer.dead_time):
