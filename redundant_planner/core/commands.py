@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.errors import known, StateError
+from redundant_planner.core.errors import known, ParameterError, shown, StateError
 from redundant_planner.core.kernels import Indices
 from redundant_planner.core.redundancy.command import limited_twists
 from redundant_planner.core.redundancy.coupling import Coupling
@@ -35,6 +35,8 @@ Array = npt.NDArray[np.float64]
 
 # Share of the acceleration limits that coupled tips use but to brake.
 _COUPLED_ACCELERATION = 0.7
+# A tip's share of its speed is worth so many times that of the next one in `tip_order`.
+_PRECEDENCE = 10.0
 
 
 class Asked(NamedTuple):
@@ -60,11 +62,14 @@ class Commands:
 
     Attributes:
         coupling: how tips hold an object together; None where each moves on its own.
+        order: what each tip's speed is worth, as a multiple of the others'; None where all are
+            alike.
     """
 
     def __init__(self, robot: Robot) -> None:
         """Begin with tips that move on their own."""
         self.coupling: Coupling | None = None
+        self.order: Array | None = None
         self._robot = robot
         self._controlled = robot.full_twist(np.ones(robot.m))
         self._share_of_tips = robot.rows // 6 if len(robot.tips) > 1 else None
@@ -200,7 +205,7 @@ class Commands:
             twist=np.concatenate((request.twist[:6], rates)),
             feedback=np.concatenate((request.feedback[:6], rates)),
             turning=np.concatenate((request.turning[:6], coupling.relative(turning.ravel(), arm))),
-            share_of=np.repeat((0, 1), (6, len(rates))), path_axes=6,
+            share_of=np.repeat((0, 1), (6, len(rates))), order=None, path_axes=6,
             spare=1.0 / _COUPLED_ACCELERATION)
 
     def results(
@@ -219,6 +224,26 @@ class Commands:
         shares = np.full(tips, result.scale) if result.scales is None else result.scales
         return tuple(TipResult(pose, errors[6 * t:6 * t + 6].copy(), float(shares[t]))
                      for t, pose in enumerate(poses.each))
+
+
+def order_of(robot: Robot, first: Sequence[str]) -> Array | None:
+    """Return what each tip's speed is worth (t,); None where all are alike.
+
+    Args:
+        robot: the robot.
+        first: the tips that come before the others, in their order.
+
+    Raises:
+        ParameterError: one is no tip of the robot, or is named twice.
+    """
+    unknown = [tip for tip in first if tip not in robot.tips]
+    if unknown or len(set(first)) < len(first):
+        raise ParameterError(f"parameter 'tip_order' is {shown(list(first))}; it takes tips of "
+                             f"'{robot.name}', each once: {known(robot.tips)}")
+    if not first:
+        return None
+    ranks = [first.index(tip) if tip in first else len(first) for tip in robot.tips]
+    return _PRECEDENCE ** (max(ranks) - np.array(ranks, dtype=float))
 
 
 def possible_share(result: Filtered, command: Array) -> float:

@@ -139,7 +139,7 @@ class AlongPath:
         return Ask(Request(
             wanted - left_out * desired.motions[1], desired.motions[2], start.arm.jacobian,
             task.commanded + task.feedback, task.feedback, task.turning, start.arm.q,
-            start.previous, self._commands.share_of),
+            start.previous, self._commands.share_of, self._commands.order),
             1.0, last.worth, self._slides and bool(start.command.any()))
 
     def rated(self, result: Filtered, desired: Wish, start: Start) -> Filtered:

@@ -156,6 +156,11 @@ class PlannerParameters:
                     'obstacles the tip keeps its path either way. slide: as yield, and near '
                     'static obstacles the tip turns aside instead of slowing down, its direction '
                     'as near to the command as possible; its path goes on from there.')
+    tip_order: tuple[str, ...] = parameter(
+        (), runtime=True,
+        description='Of several tips, the order in which they keep their speed where not all can '
+                    'go on as told: a share of one is worth ten times the same share of the next '
+                    'one, and those that are not named come last. Empty: all alike.')
     criteria_k_alpha: float = parameter(
         0.9, low=0.0, high=10.0, runtime=True,
         group='criteria',

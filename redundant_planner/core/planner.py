@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.aiming import Aiming
-from redundant_planner.core.commands import Commands
+from redundant_planner.core.commands import Commands, order_of
 from redundant_planner.core.constants import gains_of, robot_constants
 from redundant_planner.core.errors import known, ParameterError, PlannerError, shown, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
@@ -117,6 +117,7 @@ class Planner:
                 f"parameter 'method' is '{parameters.method}'; a planner that began with one of "
                 f'{known(METHODS)} keeps to these')
         robot, own = self.robot, self._own_barriers
+        order = order_of(robot, parameters.tip_order)
         constants, gains = robot_constants(robot, parameters), gains_of(parameters)
         safeguard = Safeguard(robot, parameters, constants, self._commands, own.names)
         limits = safeguard.limits
@@ -125,6 +126,7 @@ class Planner:
         self._margin_grew = self._margin_grew or (
             parameters.clearance_margin > self._parameters.clearance_margin)
         self._parameters, self._constants, self._limits = parameters, constants, limits
+        self._commands.order = order
         self._setup = Packed.of(Setup(
             constants, limits, gains, room_for_rows(constants, len(robot.tips))))
         self._aiming = Aiming(

@@ -52,6 +52,11 @@ def time_lost(motion):
     return DT * sum(1.0 - result.scale for result in motion.results)
 
 
+def time_the_first_tip_loses(motion):
+    """By how much longer it is behind its command than the second one [s]."""
+    return DT * sum(result.tips[1].scale - result.tips[0].scale for result in motion.results)
+
+
 def off_preferred(motion):
     """How far the third joint is from 0.5 rad in the mean [rad]."""
     return np.abs(motion.postures[:, 2] - 0.5).mean()

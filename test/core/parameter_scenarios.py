@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from closed_loop import DT
-from conftest import make_panda, make_paper_arm, PANDA_READY
+from conftest import make_panda, make_paper_arm, make_two_handed, PANDA_READY
 import numpy as np
 
 from redundant_planner.core.horizon.preview import Preview
@@ -22,7 +22,8 @@ from redundant_planner.paper.method import PaperPlanner
 PAPER_START = (0.1, 0.1, 0.0, 0.5233, -0.5233, 1.0467, 0.0)
 SINGULAR_START = (-0.294, 0.217, 2.128, -2.235, 0.463, 1.39, 1.337)
 ROBOTS = {'paper': make_paper_arm(), 'panda': make_panda(),
-          'panda_position': make_panda(axes=AXES[:3])}
+          'panda_position': make_panda(axes=AXES[:3]), 'two_handed': make_two_handed()}
+HANDS_IN_FRONT = (0.2, 0.0, 0.4, 0.3, 0.2, 0.9, 0.1, 0.4, 0.4, -0.3, -0.2, 0.9, -0.1, 0.4)
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,20 @@ def move(parameters, robot, start, twist, seconds, *, balls=(), known=False, pus
 def free(parameters):
     """The Panda's tip along a line, nothing near."""
     return move(parameters, 'panda', PANDA_READY, (0.0, 0.1, -0.05), 3.0)
+
+
+def towards_each_other(parameters):
+    """Two hands of one body until neither can go on."""
+    robot, postures, results = ROBOTS['two_handed'], [np.array(HANDS_IN_FRONT)], []
+    planner = Planner(robot, parameters)
+    left, right = robot.kinematics(postures[0]).tip_positions
+    twists = np.zeros((2, 6))
+    twists[0, :3] = 0.1 * (right - left) / np.linalg.norm(right - left)
+    twists[1] = -twists[0]
+    for _ in range(900):
+        results.append(planner.step(postures[-1], twists, [], DT))
+        postures.append(postures[-1] + DT * results[-1].dq)
+    return Motion(robot, np.array(postures), results, ())
 
 
 def to_a_target_behind_a_ball(parameters):

@@ -29,6 +29,7 @@ from motion_quantities import (
     smallest_distance,
     smallest_singular_value,
     time_lost,
+    time_the_first_tip_loses,
     time_to_the_first_motion,
     turn_of_the_tip,
     way_of_the_first_joint,
@@ -57,6 +58,7 @@ from parameter_scenarios import (
     to_a_target_behind_a_ball,
     to_a_target_in_a_ball,
     towards_a_ball,
+    towards_each_other,
     with_slow_drives,
 )
 import pytest
@@ -118,6 +120,8 @@ CASES = [
          CONE),
     Case('drive_lag', 0.0, 0.06, with_slow_drives, largest_path_error, '-', DEAD_TIME),
     Case('drive_dead_time', 0.0, 0.04, with_slow_drives, largest_path_error, '-', LAG),
+    Case('tip_order', ('left_hand',), ('right_hand',), towards_each_other,
+         time_the_first_tip_loses, '+'),
     Case('criteria_k_alpha', 0.2, 0.9, held_up, null_space_share, '+', EQ_2),
     Case('criteria_k_alpha', 0.2, 0.9, held_up, time_lost, '-', EQ_2),
     Case('criteria_k_alpha', 0.9, 3.0, held_up, path_length, '+', EQ_2),

@@ -7,7 +7,7 @@ from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
-from redundant_planner.core.errors import RobotError, StateError
+from redundant_planner.core.errors import ParameterError, RobotError, StateError
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.self_collision import link_distances
 from redundant_planner.core.parameters import AXES, PlannerParameters
@@ -123,6 +123,30 @@ def test_a_hand_that_is_held_up_for_long_does_not_slow_the_other():
         shares.append([tip.scale for tip in result.tips])
     left, right = np.mean(shares[600:], axis=0)
     assert left < 0.05 and right > 0.95
+
+
+@pytest.mark.parametrize('order', [HANDS[:1], HANDS, HANDS[1:], HANDS[::-1]])
+def test_the_tip_that_comes_first_goes_on_where_both_cannot(order):
+    planner, q = Planner(BODY, PlannerParameters(tip_order=order)), START
+    apart = np.subtract(*BODY.kinematics(q).tip_positions)
+    towards = 0.1 * apart / np.linalg.norm(apart)
+    shares = []
+    for _ in range(900):
+        result = planner.step(q, twists(-towards, towards), [], DT)
+        q = q + DT * result.dq
+        shares.append([tip.scale for tip in result.tips])
+    first, second = np.array(shares).T[::1 if order[0] == HANDS[0] else -1]
+    hindered = first + second < 1.98
+    assert hindered.sum() > 50
+    assert first[hindered].mean() > second[hindered].mean() + 0.2
+
+
+@pytest.mark.parametrize('order', [('claw',), ('left_hand', 'left_hand')])
+def test_an_order_of_other_tips_is_refused(order):
+    planner = Planner(BODY)
+    with pytest.raises(ParameterError, match=r"'tip_order' is .*; it takes tips of .*left_hand"):
+        planner.parameters = PlannerParameters(tip_order=order)
+    assert planner.parameters.tip_order == ()
 
 
 def test_the_share_that_slow_down_leaves_is_each_tips_own():

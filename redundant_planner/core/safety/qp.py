@@ -61,7 +61,7 @@ class StageProblem(NamedTuple):
         bounds: (b,) b of ∇h·q̇ ≥ b.
         spare: (b,) how much of a bound is cheap to give up; only looked at with slacks.
         weights: (n,) diagonal of W.
-        price: of the whole twist, as a share of `_PRICE_SCALE`.
+        prices: of the shares s, as shares of `_PRICE_SCALE`.
         share_of: (m,) which share s each axis of the twist goes with, 0 first.
         shares: how many there are.
         may_keep_residual: whether a share of the residual twist may remain.
@@ -84,7 +84,7 @@ class StageProblem(NamedTuple):
     bounds: Vector
     spare: Vector
     weights: Vector
-    price: float
+    prices: Vector
     share_of: Indices
     shares: int
     may_keep_residual: bool
@@ -178,7 +178,7 @@ def _matrices(
     for i in range(n, size):
         hessian[i, i] = 1e-3
     for i in range(n, residual):
-        linear[i] = -problem.price * _PRICE_SCALE * squared_speed - 1e-3
+        linear[i] = -problem.prices[i - n] * _PRICE_SCALE * squared_speed - 1e-3
     if problem.may_keep_residual:
         linear[residual] = (_PRICE_RESIDUAL_STRICT if problem.slack and not problem.path_gives_way
                          else _PRICE_RESIDUAL)

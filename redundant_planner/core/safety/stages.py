@@ -91,6 +91,7 @@ class Request(NamedTuple):
             J q̇ is that much less than the tip's motion, at any speed.
         q, previous: (n,) measured positions and the velocity of the last tick.
         share_of: (m,) which share s each axis goes with, 0 first; all with one if None.
+        order: what each share is worth, as a multiple of the others; 1 if None.
         path_axes: how many axes are the path's, the first ones; all if None. What coupled tips
             keep beside it never gives way.
         spare: how many times the acceleration limits a braking tick may use. In proportional
@@ -106,6 +107,7 @@ class Request(NamedTuple):
     q: Array
     previous: Array
     share_of: Indices | None = None
+    order: Array | None = None
     path_axes: int | None = None
     spare: float = 1.0
 
@@ -187,6 +189,9 @@ def safe_velocity(
     residual = share * (request.jacobian @ previous) + request.turning
     share_of = np.zeros(len(residual), np.intp) if request.share_of is None else request.share_of
     shares = 1 if request.share_of is None else int(share_of.max()) + 1
+    prices = np.full(shares, price)
+    if request.order is not None:
+        prices *= request.order
     coupled = request.path_axes is not None
     path_shares = slice(1 if coupled else None)
     path_axes = len(residual) if request.path_axes is None else request.path_axes
@@ -209,7 +214,7 @@ def safe_velocity(
             request.turning, residual, low if brakes else lower, high if brakes else upper,
             gradient, bounds,
             barrier_rate(gain, until, dt) * spare[:rows] if rule.slack else _NO_SPARE,
-            weights, price, share_of, shares, rule.residual and not leaves, rule.slack,
+            weights, prices, share_of, shares, rule.residual and not leaves, rule.slack,
             rule.shared, rule.path and may_yield, path_axes, leaves and rule.path)
         found, out_of_iterations = solve(problem)
         if out_of_iterations and rule.stage not in cut_short:
