@@ -37,7 +37,7 @@ from benchmark.problem_sets import generated
 from benchmark.problem_sets.families import FAMILIES
 from benchmark.problem_sets.judgement import collided, Judge as ProblemJudge
 from benchmark.problem_sets.servo import planner_step, servo
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 import redundant_planner
 from redundant_planner.core.horizon import look_ahead
 from redundant_planner.core.horizon.evasive_plan import EvasivePlan

@@ -21,7 +21,8 @@ import numpy.typing as npt
 from PIL import Image
 
 from benchmark.generator import DURATION, Task
-from benchmark.scenarios import DT, make_robot
+from benchmark.robots import make_robot
+from benchmark.scenarios import DT
 from redundant_planner.analysis.figures import capsule_surface, stretched
 from redundant_planner.analysis.style import (
     GRID,

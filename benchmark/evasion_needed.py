@@ -38,7 +38,8 @@ from benchmark.closest_approach import Motion
 from benchmark.generator import generate, Task
 from benchmark.judge import Judge
 from benchmark.least_deviation import LeastDeviation, Path as TipPath
-from benchmark.scenarios import DT, make_robot, METHODS, run_planner
+from benchmark.robots import make_robot
+from benchmark.scenarios import DT, METHODS, run_planner
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
 

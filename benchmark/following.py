@@ -30,8 +30,8 @@ from benchmark.bodies import Bodies, capsules_of
 from benchmark.closest_approach import Motion
 from benchmark.controlled_loop import Commands, ControlledLoop
 from benchmark.generator import DURATION, generate, Task
+from benchmark.robots import make_robot
 from benchmark.ros2_control import OUTPUTS, POSITION, Settings, TRAJECTORY
-from benchmark.scenarios import make_robot
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]

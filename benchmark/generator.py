@@ -20,7 +20,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import integrate, Pose, pose_error
+from redundant_planner.core.robot.se3 import integrate, Pose, Poses, poses_error
 
 Array = npt.NDArray[np.float64]
 
@@ -55,7 +55,8 @@ class Task:
     Attributes:
         seed: reproduces it.
         start: (n,) posture [rad, m].
-        twist: (6,) peak twist; the commanded twist is its multiple sin²(πt/4 s), or zero.
+        twist: (6 t,) peak twists of the tips; the commanded ones are their multiples sin²(πt/4 s),
+            or zero.
         obstacles: at time 0, with their velocities.
         way: (k, n) postures, evenly over the time, of a motion that keeps clear of obstacles that
             stand still; None where none is known.
@@ -68,7 +69,7 @@ class Task:
     way: Array | None = None
 
     def twist_at(self, time: float | Array) -> Array:
-        """Return the commanded twist (6,), or (k, 6) at k times."""
+        """Return the commanded twists (6 t,), or (k, 6 t) at k times."""
         share = np.minimum(np.maximum(np.asarray(time) / DURATION, 0.0), 1.0)
         return np.sin(np.pi * share)[..., None] ** 2 * self.twist
 
@@ -94,7 +95,8 @@ def generate(
         start = _random_start(robot, random)
         # A third of the moving tasks hold the arm still: what comes at it then must be evaded.
         resting = moving and random.uniform() < 1.0 / 3.0
-        twist = np.zeros(6) if resting else _random_twist(robot, random)
+        twist = (np.zeros(6 * len(robot.tips)) if resting else
+                 _random_twist(robot, random))
         path = _least_norm_path(robot, start, twist)
         if path is None:
             continue
@@ -116,13 +118,14 @@ def _random_start(robot: Robot, random: np.random.Generator) -> Array:
 
 
 def _random_twist(robot: Robot, random: np.random.Generator) -> Array:
-    """Peak twist of a motion over 0.1 to 0.3 m and, where it is controlled, up to 0.5 rad."""
-    direction = random.normal(size=3)
-    axis = random.normal(size=3)
-    twist = np.concatenate((
-        direction / np.linalg.norm(direction) * random.uniform(0.1, 0.3),
-        axis / np.linalg.norm(axis) * random.uniform(0.0, 0.5)))
-    twist = robot.full_twist(robot.task_rows(twist))
+    """Peak twists of motions over 0.1 to 0.3 m and, where it is controlled, up to 0.5 rad."""
+    parts = []
+    for _ in robot.tips:
+        direction = random.normal(size=3)
+        axis = random.normal(size=3)
+        parts += [direction / np.linalg.norm(direction) * random.uniform(0.1, 0.3),
+                  axis / np.linalg.norm(axis) * random.uniform(0.0, 0.5)]
+    twist = robot.full_twist(robot.task_rows(np.concatenate(parts)))
     return twist * 2.0 / DURATION  # ∫ sin² = half the duration
 
 
@@ -151,7 +154,7 @@ def _inside(robot: Robot, postures: Array) -> bool:
 def _way(robot: Robot, task: Task, random: np.random.Generator) -> Array | None:
     """Return the postures (k, n) of a motion bent aside, None where something cuts it off."""
     dt = DURATION / (_SAMPLES - 1)
-    poses = path_poses(robot, task, dt / _STEPS)[::_STEPS]
+    poses = path_of_tips(robot, task, dt / _STEPS)[::_STEPS]
     aside = random.normal(size=robot.n)
     distance, duration = random.uniform(*_WAY_ASIDE), random.uniform(0.4, 1.0) * DURATION
     q, way = task.start, [task.start]
@@ -166,7 +169,7 @@ def _way(robot: Robot, task: Task, random: np.random.Generator) -> Array | None:
             parts = null_space.decompose(arm.jacobian)
             if parts.singular_values[-1] < _LEAST_SINGULAR_VALUE:
                 return None
-            error = pose_error(pose, Pose(arm.tip_position, arm.tip_rotation), robot.in_tool)
+            error = poses_error(pose, arm.tips, robot.in_tool)
             q = q + null_space.least_norm(
                 parts, 1.0 / parts.singular_values, robot.task_rows(error))
         way.append(q)
@@ -222,8 +225,9 @@ def _static_obstacles(
     """
     ends = _segments(robot, path)
     way_ends = None if way is None else _segments(robot, way)
-    # What the last two joints carry goes where the tip's pose takes it.
-    tip = robot.supports[:, robot.n - 2] > 0.0
+    # What the last two joints before a tip carry goes where the tip's pose takes it.
+    wrists = [np.flatnonzero(joints)[-2] for joints in robot.chain.tip_supports]
+    tip = (robot.supports[:, wrists] > 0.0).any(axis=1)
     links = np.flatnonzero(~tip)
     wanted = int(random.integers(1, 4))
     found: list[Obstacle] = []
@@ -273,10 +277,18 @@ def _moving_obstacles(
     return tuple(found)
 
 
+def path_of_tips(robot: Robot, task: Task, dt: float) -> list[Poses]:
+    """Return where the tips are at every tick if the whole motion is followed at full speed."""
+    paths = []
+    for t, pose in enumerate(robot.kinematics(task.start).tips.each):
+        poses = [pose]
+        for i in range(round(DURATION / dt)):
+            twist = task.twist_at(i * dt)[6 * t:6 * t + 6]
+            poses.append(integrate(poses[-1], twist, dt, robot.in_tool))
+        paths.append(poses)
+    return [Poses.of(*poses) for poses in zip(*paths)]
+
+
 def path_poses(robot: Robot, task: Task, dt: float) -> list[Pose]:
-    """Return where the tip is at every tick if the whole motion is followed at full speed."""
-    arm = robot.kinematics(task.start)
-    poses = [Pose(arm.tip_position, arm.tip_rotation)]
-    for i in range(round(DURATION / dt)):
-        poses.append(integrate(poses[-1], task.twist_at(i * dt), dt, robot.in_tool))
-    return poses
+    """Return where the tip of an arm with one is, likewise."""
+    return [poses.first for poses in path_of_tips(robot, task, dt)]

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmark.generator import generate, Task
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PAPER_METHODS, PlannerParameters

@@ -13,7 +13,8 @@ from rich.table import Table
 
 from benchmark.generator import DURATION, generate, path_poses
 from benchmark.optimum import Optimum
-from benchmark.scenarios import DT, make_robot
+from benchmark.robots import make_robot
+from benchmark.scenarios import DT
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.figures import joint_curves
 from redundant_planner.core.horizon.preview import Preview

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,9 +11,10 @@ import pinocchio as pin
 
 from benchmark.bodies import capsules_of
 from benchmark.closest_approach import Motion
-from benchmark.generator import path_poses, Task
+from benchmark.generator import path_of_tips, Task
 from redundant_planner.analysis.metrics import distance_to_path
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Pose
 
 Array = npt.NDArray[np.float64]
 
@@ -28,15 +30,16 @@ class Verdict:
     """What one run came to.
 
     Attributes:
-        min_distance: smallest distance of a link to an obstacle, negative inside [m].
+        min_distance: smallest distance of a link to an obstacle, or of a body with several tips to
+            another link; negative inside [m].
         nearest: names of that link and obstacle, and when [s].
         limit_violation: largest excess over a limit of position, velocity, acceleration or jerk,
             as a share of that limit (positions: in rad, m).
-        path_error: largest distance of the tip from the commanded path [m].
-        turn_error: largest angle between the tip's orientation and the path's nearest one [rad];
+        path_error: largest distance of a tip from the commanded path [m].
+        turn_error: largest angle between a tip's orientation and the path's nearest one [rad];
             0 where orientation is not controlled.
-        final_error: distance of the tip from the path at the end [m].
-        completed: whether the tip reached the path's end, to 1 mm.
+        final_error: distance of a tip from its path at the end [m].
+        completed: whether all tips reached the ends of their paths, to 1 mm.
         cost: ∫q̇ᵀq̇ dt.
         path: Σ|Δq| over all joints.
         reversals: changes of the sign of a joint's acceleration, summed over the joints;
@@ -70,24 +73,44 @@ class Judge:
     def judge(self, task: Task, postures: Array, velocities: Array, dt: float) -> Verdict:
         """Return the verdict on postures (k + 1, n) and the velocities (k, n) between them."""
         robot = self.robot
-        nearest = Motion.through(self._capsules, postures).to_obstacles(task.obstacles, dt)
-        # The path as a line: where along it the tip is does not matter, only how far off.
-        poses = path_poses(robot, task, dt)
-        path = np.array([pose.position for pose in poses])
-        arms = [robot.kinematics(q) for q in postures]
-        tips = np.array([arm.tip_position for arm in arms])
-        errors = distance_to_path(tips[::_STRIDE], path[::10])
-        turn = 0.0
-        if robot.m == 6:
-            turn = max(_angle(arm.tip_rotation, poses[nearest_index(path, arm.tip_position)]
-                              .rotation) for arm in arms[::_STRIDE])
+        motion = Motion.through(self._capsules, postures)
+        nearest = motion.to_obstacles(task.obstacles, dt)
+        if len(robot.tips) > 1:
+            nearest = min(nearest, motion.to_itself(), key=lambda found: found.distance)
+        paths = path_of_tips(robot, task, dt)
+        tips = [robot.kinematics(q).tips for q in postures]
+        off = [_off_path([poses.each[t] for poses in paths], [poses.each[t] for poses in tips])
+               for t in range(len(robot.tips))]
+        whole = robot.m == 6 * len(robot.tips)
         return Verdict(
             nearest.distance, f'{nearest} at {nearest.index * dt:.2f} s' if nearest.first else '',
-            limit_violation(robot, postures, velocities, dt), float(errors.max()), turn,
-            float(errors[-1]), bool(np.linalg.norm(tips[-1] - path[-1]) < 1e-3),
+            limit_violation(robot, postures, velocities, dt),
+            max(found.distance for found in off),
+            max(found.angle for found in off) if whole else 0.0,
+            max(found.at_the_end for found in off), all(found.completed for found in off),
             float(np.square(velocities).sum() * dt),
             float(np.abs(np.diff(postures, axis=0)).sum()),
             reversals(accelerations(velocities, dt), robot.acceleration_max))
+
+
+class _OffPath(NamedTuple):
+    """How far a tip was off its path: at most [m, rad], at its end [m]; whether it got there."""
+
+    distance: float
+    angle: float
+    at_the_end: float
+    completed: bool
+
+
+def _off_path(path: list[Pose], way: list[Pose]) -> _OffPath:
+    """Return how far a way was off a path: where along it the tip is does not matter."""
+    line = np.array([pose.position for pose in path])
+    places = np.array([pose.position for pose in way])
+    errors = distance_to_path(places[::_STRIDE], line[::10])
+    angle = max(_angle(pose.rotation, path[nearest_index(line, pose.position)].rotation)
+                for pose in way[::_STRIDE])
+    return _OffPath(float(errors.max()), angle, float(errors[-1]),
+                    bool(np.linalg.norm(places[-1] - line[-1]) < 1e-3))
 
 
 def limit_violation(robot: Robot, postures: Array, velocities: Array, dt: float) -> float:

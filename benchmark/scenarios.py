@@ -19,17 +19,16 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmark.evasion import unavoidable
-from benchmark.generator import DURATION, generate, path_poses, Task
+from benchmark.generator import DURATION, generate, path_of_tips, path_poses, Task
 from benchmark.judge import Judge, Verdict
-from benchmark.peers import library, missing, MissingPeerError, Peer, PEERS
+from benchmark.peers import library, missing, MissingPeerError, OF_SEVERAL_TIPS, Peer, PEERS
+from benchmark.robots import make_robot
+from benchmark.tip_bodies import BODIES, make_body
 from redundant_planner.core.horizon.poses_ahead import middles
 from redundant_planner.core.obstacles.scene import Scene
-from redundant_planner.core.parameters import AXES, PlannerParameters
+from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.io.resources import share_directory
-from redundant_planner.io.robot_files import load_robot
-from redundant_planner.tools.reproduce_paper import find_panda
 
 Array = npt.NDArray[np.float64]
 
@@ -96,7 +95,9 @@ def run_planner(
             scene = Scene.of(task.obstacles_at(i * DT))
         ahead = (lambda times, now=i * DT: task.twist_at(now + middles(times))) if known else None
         begin = time.perf_counter()
-        result = planner.step(postures[i], task.twist_at(i * DT), scene, DT, ahead)
+        twist = task.twist_at(i * DT)
+        result = planner.step(
+            postures[i], twist if len(twist) == 6 else twist.reshape(-1, 6), scene, DT, ahead)
         ticks[i] = time.perf_counter() - begin
         velocities[i] = result.dq
         postures[i + 1] = postures[i] + DT * result.dq
@@ -113,7 +114,7 @@ def run_peer(
     """Run another library in closed loop with an ideal arm, with the same margins."""
     p = PlannerParameters()
     peer = make(robot, task.obstacles, p.clearance_margin, p.clearance_self_margin)
-    poses = path_poses(robot, task, DT)
+    poses: list[Any] = (path_of_tips if len(robot.tips) > 1 else path_poses)(robot, task, DT)
     moving = _is_moving(task)
     poses += [poses[-1]] * round(moving * _TO_COME_BACK / DT)
     count = len(poses) - 1
@@ -179,19 +180,6 @@ def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
     }
 
 
-def make_robot(name: str, axes: int, **changes: Any) -> Robot:
-    """Return a robot of config/ with 3 or 6 controlled axes, and other parameters changed."""
-    if name == 'panda':
-        panda = find_panda(None)
-        if panda is None:
-            raise SystemExit('no Panda URDF: pip install example-robot-data')
-        return load_robot(share_directory() / 'config' / 'robots' / 'panda.yaml',
-                          urdf='', robot_description=panda.urdf, axes=AXES[:axes],
-                          **changes)
-    return load_robot(share_directory() / 'config' / 'robots' / 'paper_2p5r.yaml',
-                      axes=AXES[:axes], link_radius=0.03, **changes)
-
-
 def runners(robot: Robot, judge: Judge, names: list[str]) -> dict[
         str, Callable[[Task], Outcome]]:
     """Return method name → function of a task."""
@@ -215,8 +203,8 @@ class Bench:
     def __init__(
         self, robot: str, axes: int, names: list[str], moving: bool, impossible_too: bool,
     ) -> None:
-        """Prepare for a robot of config/ and the methods of that name."""
-        self.robot = make_robot(robot, axes)
+        """Prepare for a robot and the methods of that name."""
+        self.robot = (make_body(robot) if robot in BODIES else make_robot(robot, axes))
         self._methods = runners(self.robot, Judge(self.robot), names)
         self._kind = {'moving': moving, 'impossible_too': impossible_too}
 
@@ -246,7 +234,8 @@ def _run(seed: int) -> dict[str, Outcome]:
 def parser_of(description: str | None) -> argparse.ArgumentParser:
     """Return the options that the scenario benchmarks share."""
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument('--robot', choices=('panda', 'paper'), default='panda')
+    parser.add_argument('--robot', choices=('panda', 'paper', *BODIES),
+                        default='panda', help='some have several tips, of which each has a path')
     parser.add_argument('--axes', type=int, choices=(3, 6), default=6)
     parser.add_argument('--count', type=int, default=50)
     parser.add_argument('--seed', type=int, default=0, help='first seed')
@@ -281,6 +270,9 @@ def main() -> None:
         lack = missing(name) if name in PEERS else ''
         if lack:
             raise SystemExit(lack)
+        if name in PEERS and options.robot in BODIES and name not in OF_SEVERAL_TIPS:
+            raise SystemExit(f'{name} is driven with one tip here; with several: '
+                             f'{", ".join(OF_SEVERAL_TIPS)}')
     arguments = (
         options.robot, options.axes, options.method or list(METHODS), options.moving,
         options.impossible_too)

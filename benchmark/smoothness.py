@@ -25,7 +25,8 @@ from benchmark.edges import edges, print_worst, VARIANTS
 from benchmark.generator import DURATION, generate, path_poses, Task
 from benchmark.judge import accelerations, jerks, Judge, limit_violation
 from benchmark.peers import library, missing, PEERS
-from benchmark.scenarios import KNOWN, make_robot, METHODS, print_table
+from benchmark.robots import make_robot
+from benchmark.scenarios import KNOWN, METHODS, print_table
 from redundant_planner.core.horizon.poses_ahead import middles
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters

@@ -29,7 +29,7 @@ from rich.table import Table
 
 from benchmark.crowds import ELLIPSOIDS, Layout, obstacles_off, SHAPE_NAMES, shapes_of
 from benchmark.peers import library, missing
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs
 from redundant_planner.core.obstacles.obstacle import ELLIPSOID, Obstacle

@@ -28,7 +28,7 @@ from rich.table import Table
 
 from benchmark.judge import accelerations, limit_violation, reversals
 from benchmark.peers import library, missing
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner

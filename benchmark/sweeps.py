@@ -23,7 +23,7 @@ from benchmark.bodies import capsules_of
 from benchmark.closest_approach import Motion
 from benchmark.judge import limit_violation
 from benchmark.problem_sets.servo import servo_twist
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle

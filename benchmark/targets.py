@@ -30,7 +30,7 @@ from benchmark.judge import limit_violation
 from benchmark.peers import library, missing, PEERS
 from benchmark.problem_sets.problem import Problem as StaticProblem, tip_pose
 from benchmark.problem_sets.servo import servo_twist
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle

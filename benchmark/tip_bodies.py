@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from benchmark.example_arms import ROBOTS
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.model import Robot as Arm
 from redundant_planner.io.robot_files import Robot

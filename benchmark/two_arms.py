@@ -24,7 +24,7 @@ from rich.table import Table
 from benchmark.bodies import capsules_of
 from benchmark.closest_approach import Motion
 from benchmark.judge import limit_violation
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.self_collision import link_distances
 from redundant_planner.core.parameters import METHODS, PlannerParameters

@@ -34,7 +34,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from benchmark.crowds import Crowd, KINDS, SHAPE_NAMES, shapes_of
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from benchmark.speed import planner_times, STARTS
 from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.obstacles.scene import Scene

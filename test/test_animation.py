@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmark import animation
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 
 TOP = Path(__file__).resolve().parent.parent
 

@@ -24,7 +24,8 @@ from benchmark.crowds import ALL_SHAPES, Crowd, KINDS, Layout
 from benchmark.evasion import unavoidable
 from benchmark.generator import DURATION, generate, Task
 from benchmark.judge import Judge, reversals
-from benchmark.scenarios import make_robot, METHODS, run_planner, summarise, UNFILTERED
+from benchmark.robots import make_robot
+from benchmark.scenarios import METHODS, run_planner, summarise, UNFILTERED
 from benchmark.voxels import voxel_messages, voxel_ticks
 
 

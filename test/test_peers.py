@@ -25,8 +25,8 @@ METHODS = [pytest.param(name, marks=pytest.mark.skipif(bool(missing(name)), reas
            for name in PEERS]
 
 
-@pytest.mark.parametrize('name', ['panda', 'paper'])
-def test_tip_and_capsules_are_where_ours_are(name):
+@pytest.mark.parametrize('name', ['panda', 'paper', 'two_handed'])
+def test_tips_and_capsules_are_where_ours_are(name):
     robot = MAKERS[name]()
     model = mujoco.MjModel.from_xml_string(mjcf(robot, []))
     data = mujoco.MjData(model)
@@ -34,9 +34,10 @@ def test_tip_and_capsules_are_where_ours_are(name):
         data.qpos = q
         mujoco.mj_kinematics(model, data)
         arm = robot.kinematics(q)
-        np.testing.assert_allclose(data.site('tip').xpos, arm.tip_position, atol=1e-9)
-        np.testing.assert_allclose(
-            data.site('tip').xmat.reshape(3, 3), arm.tip_rotation, atol=1e-9)
+        for t, tip in enumerate(arm.tips.each):
+            site = data.site(f'tip{t}')
+            np.testing.assert_allclose(site.xpos, tip.position, atol=1e-9)
+            np.testing.assert_allclose(site.xmat.reshape(3, 3), tip.rotation, atol=1e-9)
         for i in range(len(robot.capsules)):
             np.testing.assert_allclose(
                 data.geom(f'link{i}').xpos, 0.5 * (arm.segment_start[i] + arm.segment_end[i]),

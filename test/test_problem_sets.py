@@ -277,7 +277,7 @@ def test_a_short_run_of_a_made_family_hits_nothing(tmp_path, capsys):
 def test_the_fastest_motion_along_a_line_is_bang_bang():
     pytest.importorskip('toppra')
     from benchmark.problem_sets.fastest import fastest_time
-    from benchmark.scenarios import make_robot
+    from benchmark.robots import make_robot
     robot = make_robot('panda', 6)
     start = np.array([0.0, 0.0, 0.0, -2.0, 0.0, 1.7, 0.7])
     short, far = np.zeros(7), np.zeros(7)

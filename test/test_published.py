@@ -15,7 +15,7 @@ from benchmark.published.__main__ import main
 from benchmark.published.readers import SETS
 from benchmark.published.run import METHODS, poses_of, Runner
 from benchmark.published.scene import PublishedError, Scene
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.io.resources import panda_urdf
 
 needs_panda = pytest.mark.skipif(panda_urdf() is None, reason='no Panda URDF')

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from benchmark.streams import Input, INPUTS, main, messages, motion
 from redundant_planner.core.robot.se3 import Pose
 

@@ -19,7 +19,7 @@ from benchmark.fuzz.motion_judge import MotionJudge
 from benchmark.fuzz.mutations import pick
 from benchmark.fuzz.random_arms import random_arm
 from benchmark.fuzz.tally import Tally
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene

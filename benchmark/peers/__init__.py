@@ -39,7 +39,8 @@ class Peer(Protocol):
     def step(self, q: Array, target: Pose, dt: float) -> Array:
         """Return the joint velocities (n,) towards a tip pose that is due after `dt`.
 
-        Zero where the library finds no solution.
+        Zero where the library finds no solution. Those of `OF_SEVERAL_TIPS` take poses of all
+        tips, too.
         """
 
     def move(self, obstacles: Sequence[Obstacle]) -> None:
@@ -64,8 +65,9 @@ _ENTRIES = {
     'Neo': _Entry('neo', ('daqp', 'coal'), ('daqp', 'coal')),
     'CbfPy': _Entry('cbfpy', ('cbfpy', 'jax'), ('cbfpy',)),
 }
-# Name of a method → class.
+# Name of a method → class. Some are driven with several tips, too.
 PEERS = {name.lower(): name for name in _ENTRIES}
+OF_SEVERAL_TIPS = ('mink', 'pink')
 
 
 def missing(name: str) -> str:

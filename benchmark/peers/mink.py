@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from benchmark.peers.arm import costs
+from benchmark.peers.arm import costs, poses_of
 from benchmark.peers.mjcf import mjcf
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses
 
 Array = npt.NDArray[np.float64]
 
@@ -34,7 +34,8 @@ class Mink:
         self._model = mujoco.MjModel.from_xml_string(mjcf(robot, obstacles))
         self._configuration = mink.Configuration(self._model)
         position, rotation = costs(robot)
-        self._task = mink.FrameTask('tip', 'site', position, rotation)
+        self._tasks = [mink.FrameTask(f'tip{t}', 'site', position, rotation)
+                       for t in range(len(robot.tips))]
         links = [f'link{i}' for i in range(len(robot.capsules))]
         self._limits = [
             mink.ConfigurationLimit(self._model),
@@ -49,14 +50,15 @@ class Mink:
                     self._model, pairs, minimum_distance_from_collisions=distance,
                     collision_detection_distance=_DETECTION))
 
-    def step(self, q: Array, target: Pose, dt: float) -> Array:
+    def step(self, q: Array, target: Pose | Poses, dt: float) -> Array:
         """See `Peer`."""
         self._configuration.update(q)
-        self._task.set_target(mink.SE3.from_rotation_and_translation(
-            mink.SO3.from_matrix(target.rotation), target.position))
+        for task, pose in zip(self._tasks, poses_of(target)):
+            task.set_target(mink.SE3.from_rotation_and_translation(
+                mink.SO3.from_matrix(pose.rotation), pose.position))
         try:
             return np.array(mink.solve_ik(
-                self._configuration, [self._task], dt, _SOLVER, damping=_DAMPING,
+                self._configuration, self._tasks, dt, _SOLVER, damping=_DAMPING,
                 limits=self._limits))
         except mink.NoSolutionFound:
             return np.zeros(len(q))

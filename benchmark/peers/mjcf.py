@@ -24,7 +24,7 @@ _AXES = {'x': '1 0 0', 'y': '0 1 0', 'z': '0 0 1'}
 def mjcf(
     robot: Robot, obstacles: Sequence[Obstacle], thinner: float | None = None,
 ) -> str:
-    """Return the arm's chain, its capsules and the obstacles as a MuJoCo model.
+    """Return the arm's joints, its capsules and the obstacles as a MuJoCo model.
 
     Args:
         robot: the arm.
@@ -44,21 +44,25 @@ def mjcf(
             geom = _capsule(name, start, end, max(radius, 1e-5))
             shapes.setdefault(joint, []).append(
                 geom if thinner is None else f'<body name="{name}">{geom}</body>')
-    body = ''.join(shapes.get(0, []))
-    for i in range(1, robot.n + 1):
+    for t, frame in enumerate(robot.tips):
+        tip = model.frames[model.getFrameId(frame)]
+        shapes.setdefault(int(tip.parentJoint), []).append(
+            f'<site name="tip{t}" {_placed(tip.placement)}/>')
+    carried = [''.join(shapes.get(i, [])) for i in range(robot.n + 1)]
+    for i in range(robot.n, 0, -1):  # what a joint carries comes after it
         placement, joint = model.jointPlacements[i], model.joints[i]
         subspace = np.array(joint.createData().S).reshape(6)
         turning = bool(np.any(subspace[3:]))
         low, high = robot.position_min[i - 1], robot.position_max[i - 1]
         limited = np.isfinite(low) and np.isfinite(high)
         reach = f'limited="true" range="{low} {high}"' if limited else 'limited="false"'
-        body += (
+        # MuJoCo takes joints in the order of its file: the later of two siblings comes last.
+        carried[model.parents[i]] = (
             f'<body {_placed(placement)}>{_INERTIA}'
             f'<joint name="{robot.joint_names[i - 1]}" type="{"hinge" if turning else "slide"}" '
             f'axis="{_text(subspace[3:] if turning else subspace[:3])}" {reach}/>'
-            + ''.join(shapes.get(i, [])))
-    tip = model.frames[model.getFrameId(robot.tip_frame)].placement
-    body += f'<site name="tip" {_placed(tip)}/>' + '</body>' * robot.n
+            f'{carried[i]}</body>{carried[model.parents[i]]}')
+    body = carried[0]
     for i, obstacle in enumerate(obstacles):
         at = pin.SE3(obstacle.rotation, obstacle.center)
         geom = _geom(f'obstacle{i}', obstacle)

@@ -14,10 +14,10 @@ from pink.limits import ConfigurationLimit, VelocityLimit
 import pinocchio as pin
 
 from benchmark.bodies import rotation_to, shape_of
-from benchmark.peers.arm import costs, in_joint
+from benchmark.peers.arm import costs, in_joint, poses_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.robot.se3 import Pose, Poses
 
 Array = npt.NDArray[np.float64]
 
@@ -57,19 +57,20 @@ class Pink:
             self._model, self._model.createData(), pin.neutral(self._model),
             collision_model=geometry)
         position, rotation = costs(robot)
-        self._task = pink.FrameTask(robot.tip_frame, position, rotation)
+        self._tasks = [pink.FrameTask(tip, position, rotation) for tip in robot.tips]
         self._barriers = [SelfCollisionBarrier(
             len(geometry.collisionPairs), gain=_GAIN, safe_displacement_gain=0.0,
             d_min=margin)] if len(geometry.collisionPairs) else []
         self._limits = [ConfigurationLimit(self._model, 1.0), VelocityLimit(self._model)]
 
-    def step(self, q: Array, target: Pose, dt: float) -> Array:
+    def step(self, q: Array, target: Pose | Poses, dt: float) -> Array:
         """See `Peer`."""
         self._configuration.update(q)
-        self._task.set_target(pin.SE3(target.rotation, target.position))
+        for task, pose in zip(self._tasks, poses_of(target)):
+            task.set_target(pin.SE3(pose.rotation, pose.position))
         try:
             return np.array(pink.solve_ik(
-                self._configuration, [self._task], dt, _SOLVER, damping=_DAMPING,
+                self._configuration, self._tasks, dt, _SOLVER, damping=_DAMPING,
                 limits=self._limits, barriers=self._barriers, safety_break=False))
         except NoSolutionFound:
             return np.zeros(len(q))

@@ -13,7 +13,8 @@ from benchmark.problem_sets.judgement import collided, Judge, Outcome
 from benchmark.problem_sets.moveit_files import ProblemFileError, read_problem
 from benchmark.problem_sets.problem import fault_of, Problem, settled
 from benchmark.problem_sets.servo import LONGEST, peer_step, planner_step, servo, Step
-from benchmark.scenarios import make_robot, METHODS as SCENARIO_METHODS, UNFILTERED
+from benchmark.robots import make_robot
+from benchmark.scenarios import METHODS as SCENARIO_METHODS, UNFILTERED
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.resources import panda_urdf

@@ -17,7 +17,7 @@ from benchmark.peers import library, PEERS
 from benchmark.problem_sets.problem import tip_pose
 from benchmark.problem_sets.servo import servo_twist
 from benchmark.published.scene import Scene
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.analysis.metrics import distance_to_path
 from redundant_planner.core.obstacles.scene import Scene as Obstacles
 from redundant_planner.core.parameters import PlannerParameters

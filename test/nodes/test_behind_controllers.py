@@ -12,8 +12,8 @@ import pytest
 
 from benchmark.controlled_loop import ControlledLoop
 from benchmark.following import clear, COMMANDS, GUILTY, guilty, INNOCENT, innocent
+from benchmark.robots import make_robot
 from benchmark.ros2_control import OUTPUTS, POSITION, Settings, TRAJECTORY, VELOCITY
-from benchmark.scenarios import make_robot
 from redundant_planner.core.parameters import PlannerParameters
 
 PANDA = make_robot('panda', 6)

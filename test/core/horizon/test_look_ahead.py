@@ -11,7 +11,7 @@ import pytest
 
 from benchmark.generator import generate
 from benchmark.judge import reversals
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from redundant_planner.core.horizon.horizon import Horizon
 from redundant_planner.core.horizon.look_ahead import LookAhead
 from redundant_planner.core.horizon.path_qp import Measures, moved_on, Plan

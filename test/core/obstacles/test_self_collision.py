@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 import numpy as np
 import pytest
 
-from benchmark.scenarios import make_robot
+from benchmark.robots import make_robot
 from benchmark.targets import problem_of
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import distance_gradients, link_distances
