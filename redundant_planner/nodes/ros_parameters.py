@@ -250,8 +250,8 @@ def parameter_page() -> str:
     lines = [
         '# Parameters', '',
         '<!-- Made by `python -m redundant_planner.nodes.ros_parameters`; do not edit. -->', '',
-        'Parameters marked ● may change while the node runs (`ros2 param set`); a value that '
-        'does not fit is refused with the reason, and nothing changes.', '']
+        'Parameters marked ● may change while the node runs (`ros2 param set`). The node refuses '
+        'a value that does not fit, with the reason.', '']
     for title, settings in (
             ('All nodes but scenario_player: the robot', RobotParameters),
             ('planner_node: the mathematics', PlannerParameters),
@@ -264,18 +264,19 @@ def parameter_page() -> str:
             ('cloud_obstacles', CloudParameters),
             ('planning_scene_obstacles', SceneParameters),
             ('depth_camera', CameraParameters)):
-        lines += [f'## {title}', '', '| parameter | default | unit | range | meaning |',
-                  '|---|---|---|---|---|']
+        lines += [f'## {title}', '',
+                  '| parameter | default | range | meaning |', '|---|---|---|---|']
         for entry in fields(settings):
             spec = spec_of(entry)
             if not spec.node:
                 continue
-            allowed = ', '.join(spec.choices)
+            allowed = ', '.join(choice or "''" for choice in spec.choices)
             if math.isfinite(spec.low) or math.isfinite(spec.high):
                 allowed = f'{spec.low:g} … {spec.high:g}'.replace('inf', '∞')
+            allowed = f'{allowed} {spec.unit}'.strip()
             default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
             lines.append(f'| `{ros_name(entry)}`{" ●" if spec.runtime else ""} | `{default!r}` | '
-                         f'{spec.unit} | {allowed} | {spec.description} |')
+                         f'{allowed} | {spec.description} |')
         lines.append('')
     return '\n'.join(lines)
 
