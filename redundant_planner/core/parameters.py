@@ -143,21 +143,19 @@ class PlannerParameters:
 
     method: str = parameter(
         'dynamic_factor', choices=METHODS + PAPER_METHODS, runtime=True,
-        description='Scaling of the null-space motion: a fixed factor (gradient_projection), Eq. '
-                    '2 (dynamic_factor), or the shortest joint path over the horizon '
-                    "(variational). paper and paper_gradient_projection are the paper's to the "
-                    'letter: they keep no limit and no distance.')
+        description='Null-space motion: by a fixed factor (gradient_projection), by Eq. 2 '
+                    '(dynamic_factor), or along the shortest joint path (variational). The '
+                    "paper's two keep no limit and no distance.")
     path_priority: str = parameter(
         'yield', choices=PATH_PRIORITIES, runtime=True,
-        description='yield: the tip leaves its path if something moves into the arm and nothing '
-                    'else helps, and comes back. strict: it never does, and may be hit. slide: as '
-                    'yield, and along static obstacles the tip turns aside instead of slowing '
-                    'down.')
+        description='yield: the tip leaves its path if something moves into the arm. strict: '
+                    'never, and it may be hit. slide: also along static obstacles, instead of '
+                    'slowing down.')
     criteria_k_alpha: float = parameter(
         0.9, low=0.0, high=10.0, runtime=True,
         group='criteria',
-        description='k_alpha of Eq. 2: largest null-space speed as a share of the least-norm '
-                    'speed. Larger gets past more obstacles, on longer joint paths.')
+        description='Largest null-space speed of Eq. 2, as a share of the least-norm speed. '
+                    'Larger gets past more obstacles, on longer joint paths.')
     criteria_k_fixed: float = parameter(
         2.1e-5, low=0.0, high=1e6, runtime=True,
         group='criteria',
@@ -166,17 +164,17 @@ class PlannerParameters:
     criteria_k_w: float = parameter(
         30.0, low=0.0, high=1e6, runtime=True,
         group='criteria',
-        description='Weight of the clearance index H_w in Eq. 18. Larger moves the arm away '
-                    'sooner. With 0 only the safety filter minds obstacles.')
+        description='Weight of the clearance index H_w. Larger moves the arm away sooner; with 0 '
+                    'only the filter minds obstacles.')
     criteria_k_s: float = parameter(
         0.0, low=0.0, high=1e6, runtime=True,
         group='criteria',
-        description='Weight of the joint-limit index H_s in Eq. 18. Larger keeps joints '
-                    'mid-range, on longer joint paths.')
+        description='Weight of the joint-limit index H_s. Larger keeps joints mid-range, on '
+                    'longer joint paths.')
     criteria_k_f: float = parameter(
         1.0, low=0.0, high=1e6, runtime=True,
         group='criteria',
-        description='Weight of the shortest-path index H_f in Eq. 18.')
+        description='Weight of the shortest-path index H_f.')
     criteria_k_m: float = parameter(
         10.0, low=0.0, high=1e6,
         group='criteria', node=False,
@@ -186,23 +184,21 @@ class PlannerParameters:
     criteria_joint_weights: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e6,
         group='criteria',
-        description='Cost of moving each joint, one per joint; empty for 1. Weigh a prismatic '
-                    'joint against the others: metres are not radians.')
+        description='Cost of moving each joint; empty for 1. Weigh metres against radians with '
+                    'it.')
     posture_preferred: tuple[str, ...] = parameter(
         (), runtime=True,
         group='posture',
-        description="Where joints should rather be, as 'joint=position' [rad, m], where nothing "
-                    'else matters. ~/posture sets it, too.')
+        description="Where joints should rather be, as 'joint=position'; ~/posture sets it, too.")
     posture_weight: float = parameter(
         1.0, low=0.0, high=1e6, unit='1/s²', runtime=True,
         group='posture',
-        description='Weight of the distance from posture.preferred: in Eq. 18, in the joint path '
-                    'ahead, and among postures at a free target.')
+        description='Weight of the distance from posture.preferred.')
     cone_angle: float = parameter(
         math.pi, low=1e-3, high=math.pi, unit='rad', runtime=True,
         group='cone',
-        description='How far cone.tip_axis may lean away from cone.direction; pi for any angle. A '
-                    'twist or target that leads beyond is slowed.')
+        description='How far cone.tip_axis may lean away from cone.direction. Motion beyond is '
+                    'slowed.')
     cone_tip_axis: tuple[float, ...] = parameter(
         (0.0, 0.0, 1.0), low=-1e6, high=1e6, size=3, runtime=True,
         group='cone',
@@ -218,8 +214,8 @@ class PlannerParameters:
     clearance_influence_distance: float = parameter(
         0.1, low=1e-3, unit='m', runtime=True,
         group='clearance',
-        description='Distance at which an obstacle begins to act on the null space; infinite is '
-                    'Eq. 7 to the letter.')
+        description='Distance at which obstacles begin to act on the null space; infinite as in '
+                    'Eq. 7.')
     clearance_smoothing: float = parameter(
         0.5, low=0.0, high=1e3, unit='S',
         group='clearance', node=False,
@@ -233,13 +229,13 @@ class PlannerParameters:
     clearance_gain: float = parameter(
         5.0, low=0.1, high=1000.0, unit='1/s', runtime=True,
         group='clearance',
-        description='Largest share of a clearance used up per second. Higher lets the arm go '
-                    'faster near obstacles, and turn away later and harder.')
+        description='Largest share of a clearance used up per second. Higher: faster near '
+                    'obstacles, turning away later and harder.')
     clearance_lead: float = parameter(
         0.05, low=0.0, high=2.0, unit='s', runtime=True,
         group='clearance',
-        description='Moving obstacles are kept further away, by their way in this time. Too '
-                    'short, and late measurements cost clearance.')
+        description='Moving obstacles are kept further away by their way in this time. Too short, '
+                    'and late measurements cost clearance.')
     clearance_evasion_horizon: float = parameter(
         2.0, low=0.0, high=10.0, unit='s',
         group='clearance', node=False,
@@ -247,46 +243,41 @@ class PlannerParameters:
                     'course leads into a link, the arm steps aside in time. 0 turns this off.')
     allowed_contacts: tuple[str, ...] = parameter(
         (), runtime=True,
-        description="Contacts that are meant, as 'link:obstacle', or the namespace of its marker; "
-                    "'attached' is what the hand holds. Such a pair keeps no margin, but may not "
-                    'overlap deeper.')
+        description="Contacts that are meant, as 'link:obstacle' or 'attached:obstacle'. Such a "
+                    'pair keeps no margin, but overlaps no deeper.')
     slow_down: tuple[str, ...] = parameter(
         (), runtime=True,
-        description="Obstacles near which the arm is slow, as 'name=distance:time'. At a distance "
-                    'd from one that moves at v, it is no faster than (d - distance) / time - v. '
-                    'Not safety-rated.')
+        description="Obstacles near which the arm is slow, as 'name=distance:time': it keeps "
+                    'below (d - distance) / time - v. Not safety-rated.')
     limits_position_margin: float = parameter(
         0.01, low=0.0, high=0.5, unit='rad, m', runtime=True,
         group='limits',
-        description='Distance kept from the joint position limits. It covers the travel between a '
-                    'measurement and its command.')
+        description='Distance kept from the joint limits, for the travel between a measurement '
+                    'and its command.')
     limits_linear_speed: float = parameter(
         math.inf, low=0.0, unit='m/s', runtime=True,
         group='limits',
-        description='Largest speed of the tip; 0 stops every motion. Infinite: 1 m/s for twists, '
-                    'straight lines and chunks, other targets as fast as the joints may.')
+        description='Largest speed of the tip; 0 stops every motion. Infinite: 1 m/s, but on free '
+                    'ways that of the joints.')
     limits_angular_speed: float = parameter(
         math.inf, low=0.0, unit='rad/s', runtime=True,
         group='limits',
-        description='Largest turning speed of the tip; 0 stops every motion that turns. Infinite: '
-                    'likewise, with 2 rad/s.')
+        description='Largest turning speed of the tip; 0 stops every turn. Infinite: 2 rad/s, but '
+                    'on free ways that of the joints.')
     drive_lag: float = parameter(
         0.0, low=0.0, high=0.5, unit='s',
         group='drive',
-        description="Time constant of the drives' velocity, a controller's included; "
-                    'identify_delay measures it. Off by half, and the tip is a millimetre further '
-                    'off its path.')
+        description="Time constant of the drives' velocity (identify_delay). Off by half, and the "
+                    'tip is a millimetre further off its path.')
     drive_dead_time: float = parameter(
         0.0, low=0.0, high=0.5, unit='s',
         group='drive',
-        description='Time from a command to the first measurement of its effect; identify_delay '
-                    'measures it.')
+        description='Time from a command to the first measurement of its effect (identify_delay).')
     singularity_margin: float = parameter(
         0.04, low=0.0, high=10.0, unit='m', runtime=True,
         group='singularity',
-        description='Smallest singular value of J that the arm may go down to; 0 for none. Too '
-                    'small, and joints race near a singularity; too large, and the workspace '
-                    'shrinks.')
+        description='Smallest allowed singular value of J; 0 for none. Too small, and joints '
+                    'race; too large, and the workspace shrinks.')
     singularity_damping_threshold: float = parameter(
         0.03, low=0.0, high=10.0, unit='m',
         group='singularity', node=False,
@@ -298,8 +289,8 @@ class PlannerParameters:
     horizon_duration: float = parameter(
         3.0, low=0.05, high=30.0, unit='s', runtime=True,
         group='horizon',
-        description='Length of the joint path ahead where the coming command is known. Too short, '
-                    'and the arm turns away late.')
+        description='Length of the joint path ahead with a known command. Too short, and the arm '
+                    'turns away late.')
     horizon_held_duration: float = parameter(
         1.0, low=0.05, high=30.0, unit='s',
         group='horizon', node=False,
@@ -313,26 +304,25 @@ class PlannerParameters:
     horizon_look_ahead: float = parameter(
         1.5, low=0.0, high=10.0, unit='s', runtime=True,
         group='horizon',
-        description='How far dynamic_factor looks for obstacles and joint limits; if blocked, it '
-                    'plans a joint path. Longer gets past more, in slower ticks; 0 is Eq. 2 '
-                    'alone.')
+        description='How far dynamic_factor looks for obstacles and limits, to plan a joint path. '
+                    'Longer gets past more, in slower ticks; 0 is Eq. 2 alone.')
     target_path: str = parameter(
         'free', choices=TARGET_PATHS, runtime=True,
         group='target',
-        description='How the tip goes to a target_pose. free: around what is in the way. '
-                    'straight: in a line; it stops where the line is blocked.')
+        description='Way to a target_pose. free: around obstacles. straight: in a line; it stops '
+                    'where that is blocked.')
     target_lag: float = parameter(
         0.08, low=0.0, high=2.0, unit='s', runtime=True, group='target',
-        description='How far the arm follows behind a stream of targets: it averages noise and '
-                    'bridges gaps in this time. 0 follows at once, and is rougher.')
+        description='How far the arm is behind a stream of targets, to average noise and bridge '
+                    'gaps. 0 is rougher.')
     target_effort: float = parameter(
         0.3, low=0.01, high=1.0, runtime=True, group='target',
-        description='Share of each period spent on the search for a way, 1.2 ms at most. With '
-                    'less the arm sets off later, and goes longer ways.')
+        description='Share of each period for the search for a way, 1.2 ms at most. With less the '
+                    'arm sets off later, and goes longer ways.')
     target_gives_way: bool = parameter(
         False, runtime=True, group='target',
-        description='Whether the arm goes aside for some seconds if it finds no free way for 3 s. '
-                    'Set it for all arms but one.')
+        description='Whether the arm goes aside if it finds no free way for 3 s. Set it for all '
+                    'arms but one.')
     feedback_gain: float = parameter(
         10.0, low=0.0, high=100.0, unit='1/s', runtime=True,
         group='feedback',

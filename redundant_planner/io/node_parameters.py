@@ -31,44 +31,40 @@ class PlannerNodeParameters:
         description='Rate of joint_command. A slow rate makes every margin coarser.')
     incoming_command_timeout: float = parameter(
         0.1, low=0.005, high=10.0, unit='s', runtime=True,
-        description='A cmd_vel older than this counts as zero. Too long, and the arm runs on '
-                    'after its operator has gone.')
+        description='An older cmd_vel counts as zero. Too long, and the arm runs on after its '
+                    'operator has gone.')
     joint_state_timeout: float = parameter(
         0.1, low=0.005, high=10.0, unit='s', runtime=True,
-        description='Without joint_states for this long the arm stops, and the node is silent '
-                    'until they are back.')
+        description='Without joint_states for this long the arm stops and the node is silent.')
     follow_tolerance: float = parameter(
         0.02, low=0.0, high=1.0, unit='rad, m', runtime=True, group='follow',
-        description='How far a joint may stay behind its commands, besides known delays; an arm '
-                    'further behind is stopped. 0 turns this off. Too small, and a load or play '
-                    'in the gears stops the arm.')
+        description='How far a joint may stay behind its commands, besides known delays; 0 for '
+                    'any. Too small, and a load or play stops the arm.')
     enable_stamped_cmd_vel: bool = parameter(
         False, description='cmd_vel is a TwistStamped, with its frame (base or tip) and time.')
     obstacle_topics: tuple[str, ...] = parameter(
         ('obstacles',),
-        description='Topics with obstacles (MarkerArray). ~/body of another planner_node is an '
-                    'arm to keep clear of.')
+        description='Topics with obstacles (MarkerArray); ~/body of another planner_node is an '
+                    'arm.')
     estimate_obstacle_velocity: bool = parameter(
         False, runtime=True,
-        description="Estimates obstacles' velocities from their places, to evade earlier. Noisy "
-                    'detections make the arm flinch.')
+        description="Estimates obstacles' velocities, to evade earlier. Noisy detections make the "
+                    'arm flinch.')
     outputs: tuple[str, ...] = parameter(
         (), choices=OUTPUTS,
-        description='Topics besides joint_command, for forward_command_controller (the first two) '
-                    'or joint_trajectory_controller.')
+        description='Topics besides joint_command, for controllers of ros2_control.')
     publish_ticks: bool = parameter(
         False, description='Whether ~/ticks has every input of every tick, for an exact replay.')
     thread_priority: int = parameter(
         40, low=0, high=98,
-        description='Real-time priority (SCHED_FIFO) of the loop; 0 for none. Without it a busy '
-                    'machine makes the period jitter.')
+        description='Real-time priority (SCHED_FIFO); 0 for none. Without it a busy machine makes '
+                    'the period jitter.')
     static_obstacles: tuple[str, ...] = parameter(
-        (), description='Names of fixed obstacles. Each has static_obstacle.NAME.shape, .size and '
-                        '.pose, see docs/obstacles.md.')
+        (), description='Names; each has static_obstacle.NAME.shape, .size and .pose '
+                        '(docs/obstacles.md).')
     workspace: tuple[float, ...] = parameter(
         (), low=-1e6, high=1e6, unit='m', runtime=True,
-        description='Walls that no link crosses: x_min, y_min, z_min, x_max, y_max, z_max in the '
-                    'base frame.')
+        description='Walls that no link crosses: x_min, y_min, z_min, x_max, y_max, z_max.')
 
     def __post_init__(self) -> None:
         """Check every value."""
@@ -130,8 +126,8 @@ class ClockParameters:
     """
 
     clock: bool = parameter(
-        False, description='Whether the arm publishes /clock, for nodes with use_sim_time. Each '
-                           "period then waits for the last one's joint_command.")
+        False, description='Whether the arm publishes /clock. Each period then waits for the last '
+                           "one's joint_command.")
     wait_for_cmd_vel: bool = parameter(
         False, description='With clock: whether each period waits for a cmd_vel (Twist), too.')
     real_time_factor: float = parameter(
@@ -139,8 +135,8 @@ class ClockParameters:
         description='With clock: how much faster than real time; 0 for as fast as the nodes can.')
     answer_timeout: float = parameter(
         0.5, low=0.01, high=60.0, unit='s',
-        description='With clock: how long the arm waits for an answer. Too short, and an '
-                    'interrupted planner loses the step.')
+        description='With clock: longest wait for an answer. Too short, and an interrupted '
+                    'planner loses the step.')
 
     def __post_init__(self) -> None:
         """Check every value."""
@@ -164,8 +160,7 @@ class PlayerParameters:
         description="Rate of cmd_vel; with simulated time, no more than /clock's.")
     subscribers: int = parameter(
         1, low=1, high=100,
-        description='The motion starts once so many nodes listen: 2 where a recorder must not '
-                    'miss the beginning.')
+        description='The motion starts once so many nodes listen.')
     preview: bool = parameter(
         True, description='Whether cmd_vel_preview announces the whole twist before the motion.')
     settle: float = parameter(

@@ -57,22 +57,22 @@ class RobotParameters:
     """
 
     urdf: str = parameter(
-        '', description='URDF file: a path, file:// or package:// location. Empty: '
-                        'robot_description, the parameter or else the topic.')
+        '', description='URDF file: a path, file:// or package://. Empty: robot_description, '
+                        'parameter or topic.')
     robot_description: str = parameter(
         '', description="The URDF's text, used where urdf is empty.")
     base_frame: str = parameter(
-        '', description='Link in whose frame commands and obstacles are given; empty for the root '
-                        'link.')
+        '', description='Link in whose frame commands and obstacles are given; empty for the '
+                        'root.')
     tip_frame: str = parameter(
         '', description='Link whose origin is the end effector. This or tips is required.')
     tips: tuple[str, ...] = parameter(
-        (), description='Such links of a body with several arms, instead of tip_frame. Each has '
-                        'topics TIP/cmd_vel and TIP/target_pose.')
+        (), description='Such links of a body with several arms, with topics TIP/cmd_vel and '
+                        'TIP/target_pose.')
     base: str = parameter(
         '', choices=('', 'holonomic'),
-        description='Empty for a fixed base. holonomic: a base that moves in any direction of the '
-                    'plane, with the topics odom and base_cmd_vel.')
+        description='holonomic: a base that moves in any direction of the plane, by odom and '
+                    'base_cmd_vel.')
     base_weight: float = parameter(
         30.0, group='base', low=1e-3, high=1e6,
         description='Cost of moving the base, beside 1 of each joint.')
@@ -86,43 +86,39 @@ class RobotParameters:
         5.0, group='base', low=0.1, high=1e3, unit='m',
         description='How far the base may go along x and y from its start.')
     mount_frame: str = parameter(
-        '', description='Frame of a cell or of several arms: the base stands there at mount_pose, '
-                        'and commands and obstacles are given in it.')
+        '', description='Frame in which the base stands at mount_pose; commands and obstacles are '
+                        'given in it.')
     mount_pose: tuple[float, ...] = parameter(
         (), low=-1e3, high=1e3, unit='m, rad',
-        description='Pose of the root link in mount_frame: x y z, and nothing, roll pitch yaw, or '
-                    'a quaternion x y z w.')
+        description='Pose of the root link in mount_frame: x y z, then nothing, roll pitch yaw, '
+                    'or a quaternion.')
     axes: tuple[str, ...] = parameter(
         AXES, choices=AXES,
         description='Controlled axes of the twist; the null space has the others.')
     command_frame: str = parameter(
         'base', choices=COMMAND_FRAMES,
-        description='Axes of cmd_vel: base (fixed) or tool (turning with the tip). It moves the '
-                    "tip's origin either way.")
+        description='Axes of cmd_vel: base (fixed) or tool (turning with the tip).')
     locked_joints: tuple[str, ...] = parameter(
-        (), description="Joints that stand still, as 'joint=position' [rad, m]. '*=measured': "
-                        'those outside the chain stand where planner_node finds them at its '
-                        'start, not at 0.')
+        (), description="Joints that stand still, as 'joint=position'; '*=measured': all outside "
+                        'the chain, where they are at the start.')
     position_limits: tuple[str, ...] = parameter(
         (), unit='rad, m',
-        description="Ranges narrower than the URDF's, as 'joint=low..high', of any joints. A "
-                    'joint found outside may stay or come in.')
+        description="Ranges narrower than the URDF's, as 'joint=low..high'.")
     velocity_max: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e4, unit='rad/s, m/s',
         description="Replaces the URDF's velocity limits: one value, or one per joint.")
     acceleration_max: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e6, unit='rad/s², m/s²',
         description="Largest joint acceleration, one value or one per joint. Empty: the URDF's, "
-                    'or 5. Too high for the drives, and the arm overshoots limits and clearances.')
+                    'or 5. Too high, and the arm overshoots limits and clearances.')
     jerk_max: tuple[float, ...] = parameter(
         (), low=1e-6, unit='rad/s³, m/s³',
-        description='Largest change of the acceleration, likewise; .inf for no limit. Empty: the '
-                    "URDF's, or 100/s times the acceleration limit. Lower is smoother, and later "
-                    'by acceleration / jerk.')
+        description="Largest joint jerk, one value or one per joint. Empty: the URDF's, or 100/s "
+                    'times acceleration_max. Lower is smoother, and later.')
     link_shapes: str = parameter(
         'fitted', choices=('fitted', 'straight'),
-        description='Where no capsules are listed: fitted around the collision geometry, or '
-                    'straight from joint to joint.')
+        description='Without capsules: fitted around the collision geometry, or straight between '
+                    'joints.')
     link_radius: float = parameter(
         0.0, low=0.0, high=1.0, unit='m',
         description='Radius of straight link shapes. Too small, and the arm touches things.')

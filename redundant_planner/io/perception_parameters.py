@@ -26,29 +26,28 @@ class CloudParameters:
 
     sensor_pose: tuple[float, ...] = parameter(
         (), low=-1e3, high=1e3, unit='m', runtime=True,
-        description="Pose of the clouds' frame in the base frame: x y z and a quaternion x y z w. "
-                    "Empty: tf2's, or the base frame. Off by more than self_margin, and the arm "
-                    'sees itself.')
+        description="Pose of the clouds' frame in the base frame: x y z and a quaternion; empty "
+                    'for tf2. Off by more than self_margin, and the arm sees itself.')
     sensor_frame: str = parameter(
         '', runtime=True,
         description='Frame that sensor_pose is of; other clouds are looked up in tf2. Empty: '
                     'every frame.')
     crop_box: tuple[float, ...] = parameter(
         (), low=-1e3, high=1e3, unit='m', runtime=True,
-        description='Box in the base frame outside which points do not count: x_min y_min z_min '
-                    'x_max y_max z_max; empty for none.')
+        description='Points outside do not count: x_min y_min z_min x_max y_max z_max in the base '
+                    'frame; empty for none.')
     reach_margin: float = parameter(
         0.2, low=0.0, high=10.0, unit='m', runtime=True,
-        description="How far beyond the arm's reach points count. Less than "
-                    'clearance.influence_distance, and the planner sees obstacles late.')
+        description="How far beyond the arm's reach points count. Too small, and the planner sees "
+                    'obstacles late.')
     self_margin: float = parameter(
         0.03, low=0.0, high=0.5, unit='m', runtime=True,
-        description='Points this close to the arm count as the arm. Too small, and the arm sees '
-                    'itself; too large, and it misses what comes near.')
+        description='Points this close to the arm are the arm. Too small, and it sees itself; too '
+                    'large, and it misses what comes near.')
     stamp_uncertainty: float = parameter(
         0.01, low=0.0, high=1.0, unit='s', runtime=True,
-        description='Difference between the stamps of clouds and joint_states. Links get thicker '
-                    'by their way in that time.')
+        description='Difference between the stamps of clouds and joint_states; links get thicker '
+                    'by it.')
     voxel_size: float = parameter(
         0.025, low=0.005, high=1.0, unit='m',
         description='Edge of the cubes. Small ones cost time, large ones close gaps that the arm '
@@ -59,15 +58,15 @@ class CloudParameters:
                     'vanish.')
     persistence: float = parameter(
         2.0, low=0.0, high=3600.0, unit='s', runtime=True,
-        description='How long a hidden cube stays. Too short, and the arm forgets what it hides '
-                    'itself; too long, and old cubes block it.')
+        description='How long a hidden cube stays. Too short, and the arm forgets what it hides; '
+                    'too long, and old cubes block it.')
     ray_clearing: bool = parameter(
         True, runtime=True,
-        description='Whether a cube is free once the sensor sees through it. Only for clouds in '
-                    "the sensor's own frame.")
+        description='Whether a cube is free once the sensor sees through it; only for clouds in '
+                    'its own frame.')
     self_capsules: tuple[str, ...] = parameter(
-        (), description='Names of other shapes that are not obstacles, such as cables; each has '
-                        'self_capsule.NAME.frame, .start, .end and .radius.')
+        (), description='Other shapes that are no obstacles; each has self_capsule.NAME.frame, '
+                        '.start, .end and .radius.')
 
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""
@@ -86,15 +85,14 @@ class SceneParameters:
 
     scene_planner: str = parameter(
         'planner_node', group='scene',
-        description="Node whose allowed_contacts follow the scene's collision matrix. Empty for "
-                    'none: a gripper then keeps its distance.')
+        description='Node whose allowed_contacts follow the scene. Empty for none: a gripper then '
+                    'keeps its distance.')
     scene_reach_margin: float = parameter(
         0.5, low=0.0, high=10.0, unit='m', group='scene',
-        description="How far beyond the arm's reach cubes of an octomap count. Less than "
-                    'clearance.influence_distance, and the planner sees obstacles late.')
+        description="How far beyond the arm's reach cubes of an octomap count. Too small, and the "
+                    'planner sees them late.')
     allowed_contacts: tuple[str, ...] = parameter(
-        (), description="Contacts allowed besides those of the scene, as planner_node's parameter "
-                        'of this name.')
+        (), description='Contacts allowed besides those of the scene, as for planner_node.')
 
     def __post_init__(self) -> None:
         """Check every value."""
@@ -116,8 +114,7 @@ class CameraParameters:
                               'forward.')
     camera_pose: tuple[float, ...] = parameter(
         (1.5, 0.0, 1.2, 0.615324, 0.615324, -0.348391, -0.348391), low=-1e3, high=1e3, unit='m',
-        description='Pose of the camera in the base frame: x y z and a quaternion x y z w. By '
-                    'default it looks down at the arm from the front.')
+        description='Pose of the camera in the base frame: x y z and a quaternion.')
     image_width: int = parameter(
         320, low=1, high=1920, description='Points in a row.')
     image_height: int = parameter(

@@ -27,12 +27,12 @@ class PhysicsParameters:
                     'shakes.')
     servo: str = parameter(
         VELOCITY_SERVO, choices=(VELOCITY_SERVO, POSITION_SERVO, NO_SERVO),
-        description='How the drives take joint_command: velocity (integrated), position, or off: '
-                    'no torque, the arm falls.')
+        description='How drives take joint_command: as velocity, position, or off: no torque, the '
+                    'arm falls.')
     servo_bandwidth: float = parameter(
         15.0, low=0.5, high=100.0, unit='Hz',
-        description='Natural frequency f of the servo, critically damped: its stiffness is (2πf)² '
-                    'times the inertia. Real arms have 5 to 30 Hz; a slow servo sags and lags.')
+        description='Natural frequency of the servo, critically damped. Real arms have 5 to 30 '
+                    'Hz; a slow servo sags and lags.')
     armature: float = parameter(
         0.1, low=0.0, high=100.0, unit='kg m², kg',
         description="Inertia of a drive's rotor, times its gear's ratio squared. Without it small "
@@ -82,8 +82,7 @@ class MujocoHardwareParameters:
         False, description='Whether continuous joints are published within (−π, π], as most '
                            'drivers do.')
     static_obstacles: tuple[str, ...] = parameter(
-        (), description="Names of fixed obstacles that are bodies, as planner_node's parameter of "
-                        'this name.')
+        (), description='Fixed obstacles that are bodies, as for planner_node.')
     thread_priority: int = parameter(
         40, low=0, high=98,
         description='Real-time priority (SCHED_FIFO); 0 for none. Without it a busy machine '
