@@ -254,7 +254,7 @@ def rows_of(settings: type[Any]) -> list[str]:
             continue
         allowed = ', '.join(choice or "''" for choice in spec.choices)
         if math.isfinite(spec.low) or math.isfinite(spec.high):
-            allowed = f'{spec.low:g} … {spec.high:g}'.replace('inf', '∞')
+            allowed = f'{spec.low:g}…{spec.high:g}'.replace('inf', '∞')
         allowed = f'{allowed} {spec.unit}'.strip()
         default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
         rows.append(f'| `{ros_name(entry)}`{" ●" if spec.runtime else ""} | `{default!r}` | '
