@@ -105,8 +105,7 @@ class FakeHardwareParameters:
                            'drivers do.')
     thread_priority: int = parameter(
         40, low=0, high=98,
-        description='Real-time priority (SCHED_FIFO); 0 for none. Without it a busy machine '
-                    'interrupts joint_states.')
+        description="Real-time priority (SCHED_FIFO), as planner_node's.")
 
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""
@@ -152,7 +151,7 @@ class PlayerParameters:
     """
 
     scenario: str = parameter(
-        '', description='Scenario file: a path, file:// or package:// location. Required.')
+        '', description='Scenario file: a path, file:// or package://. Required.')
     urdf: str = parameter(
         '', description="URDF file to use instead of the scenario's robot file's.")
     rate: int = parameter(
@@ -168,8 +167,7 @@ class PlayerParameters:
         description='How long the twist stays zero before and after the motion.')
     thread_priority: int = parameter(
         40, low=0, high=98,
-        description='Real-time priority (SCHED_FIFO); 0 for none. Without it a busy machine '
-                    'interrupts cmd_vel.')
+        description="Real-time priority (SCHED_FIFO), as planner_node's.")
 
     def __post_init__(self) -> None:
         """Check every value."""

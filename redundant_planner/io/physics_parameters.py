@@ -85,8 +85,7 @@ class MujocoHardwareParameters:
         (), description='Fixed obstacles that are bodies, as for planner_node.')
     thread_priority: int = parameter(
         40, low=0, high=98,
-        description='Real-time priority (SCHED_FIFO); 0 for none. Without it a busy machine '
-                    'interrupts joint_states.')
+        description="Real-time priority (SCHED_FIFO), as planner_node's.")
 
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""
