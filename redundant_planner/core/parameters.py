@@ -143,50 +143,43 @@ class PlannerParameters:
 
     method: str = parameter(
         'dynamic_factor', choices=METHODS + PAPER_METHODS, runtime=True,
-        description='How the null-space motion is scaled: by a fixed factor '
-                    '(gradient_projection, the traditional method), by Eq. 2 (dynamic_factor), '
-                    'or so that the joint path over the horizon becomes the shortest '
-                    "(variational). paper and paper_gradient_projection are the paper's methods "
-                    'to the letter: they keep no limit and no distance.')
+        description='Null-space motion: by a fixed factor (gradient_projection), by Eq. 2 '
+                    '(dynamic_factor), or along the shortest joint path (variational). The '
+                    "paper's two keep no limit and no distance.")
     path_priority: str = parameter(
         'yield', choices=PATH_PRIORITIES, runtime=True,
-        description='Whether the tip may leave its path where something moves into the arm, or '
-                    'was found too close to it, and nothing else helps. yield: it may, and comes '
-                    'back afterwards. strict: it never does, and may be hit. Near static '
-                    'obstacles the tip keeps its path either way. slide: as yield, and near '
-                    'static obstacles the tip turns aside instead of slowing down, its direction '
-                    'as near to the command as possible; its path goes on from there.')
+        description='yield: the tip leaves its path if something moves into the arm. strict: '
+                    'never, and it may be hit. slide: also along static obstacles, instead of '
+                    'slowing down.')
     tip_order: tuple[str, ...] = parameter(
         (), runtime=True,
-        description='Of several tips, the order in which they keep their speed where not all can '
-                    'go on as told: a share of one is worth ten times the same share of the next '
-                    'one, and those that are not named come last. Empty: all alike.')
+        description='Order in which several tips keep their speed if not all can: a share of one '
+                    'is worth ten times that of the next. Tips without a place come last. Empty: '
+                    'all alike.')
     criteria_k_alpha: float = parameter(
         0.9, low=0.0, high=10.0, runtime=True,
         group='criteria',
-        description='Adjustment coefficient of Eq. 2 for dynamic_factor: the largest null-space '
-                    'speed as a share of the least-norm speed. More of it gets past more '
-                    'obstacles, on longer joint paths.')
+        description='Largest null-space speed of Eq. 2, as a share of the least-norm speed. '
+                    'Larger gets past more obstacles, on longer joint paths.')
     criteria_k_fixed: float = parameter(
         2.1e-5, low=0.0, high=1e6, runtime=True,
         group='criteria',
-        description='Factor k of Eq. 1 for gradient_projection. Too large and the arm oscillates '
-                    'about the best posture, too small and it does not evade.')
+        description='k of Eq. 1, for gradient_projection. Too large, and the arm oscillates; too '
+                    'small, and it does not evade.')
     criteria_k_w: float = parameter(
         30.0, low=0.0, high=1e6, runtime=True,
         group='criteria',
-        description='Weight of the clearance index H_w in Eq. 18. Larger values move the arm '
-                    'away from obstacles sooner, as fast as criteria.k_alpha lets it. With 0 '
-                    'only the safety filter minds obstacles.')
+        description='Weight of the clearance index H_w. Larger moves the arm away sooner; with 0 '
+                    'only the filter minds obstacles.')
     criteria_k_s: float = parameter(
         0.0, low=0.0, high=1e6, runtime=True,
         group='criteria',
-        description='Weight of the joint-limit index H_s in Eq. 18. Large values keep joints '
-                    'mid-range at the price of longer joint paths.')
+        description='Weight of the joint-limit index H_s. Larger keeps joints mid-range, on '
+                    'longer joint paths.')
     criteria_k_f: float = parameter(
         1.0, low=0.0, high=1e6, runtime=True,
         group='criteria',
-        description='Weight of the shortest-path index H_f in Eq. 18.')
+        description='Weight of the shortest-path index H_f.')
     criteria_k_m: float = parameter(
         10.0, low=0.0, high=1e6,
         group='criteria', node=False,
@@ -196,26 +189,21 @@ class PlannerParameters:
     criteria_joint_weights: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e6,
         group='criteria',
-        description='Cost of moving each joint, one value per joint, empty for 1 everywhere. '
-                    'Makes metres and radians comparable: the result of a least norm depends on '
-                    'the unit of a prismatic joint.')
+        description='Cost of moving each joint; empty for 1. Weigh metres against radians with '
+                    'it.')
     posture_preferred: tuple[str, ...] = parameter(
         (), runtime=True,
         group='posture',
-        description="Where joints should rather be, as 'joint=position', any of them [rad, m]: an "
-                    'elbow that is to stay up stays up where nothing else matters. ~/posture '
-                    'sets it, too.')
+        description="Where joints should rather be, as 'joint=position'; ~/posture sets it, too.")
     posture_weight: float = parameter(
         1.0, low=0.0, high=1e6, unit='1/s²', runtime=True,
         group='posture',
-        description='Weight of the distance from posture.preferred: in Eq. 18, in the cost of the '
-                    'joint path ahead, and where a free target leaves a choice of postures.')
+        description='Weight of the distance from posture.preferred.')
     cone_angle: float = parameter(
         math.pi, low=1e-3, high=math.pi, unit='rad', runtime=True,
         group='cone',
-        description='How far cone.tip_axis may lean away from cone.direction: a cup that is to '
-                    'stay upright. pi for any angle. The speed gives way where a twist or a '
-                    'target would lead beyond.')
+        description='How far cone.tip_axis may lean away from cone.direction. Motion beyond is '
+                    'slowed.')
     cone_tip_axis: tuple[float, ...] = parameter(
         (0.0, 0.0, 1.0), low=-1e6, high=1e6, size=3, runtime=True,
         group='cone',
@@ -231,8 +219,8 @@ class PlannerParameters:
     clearance_influence_distance: float = parameter(
         0.1, low=1e-3, unit='m', runtime=True,
         group='clearance',
-        description='Distance at which an obstacle begins to act on the null space; infinite is '
-                    'Eq. 7 to the letter, where the farthest obstacle pushes hardest.')
+        description='Distance at which obstacles begin to act on the null space; infinite as in '
+                    'Eq. 7.')
     clearance_smoothing: float = parameter(
         0.5, low=0.0, high=1e3, unit='S',
         group='clearance', node=False,
@@ -246,14 +234,13 @@ class PlannerParameters:
     clearance_gain: float = parameter(
         5.0, low=0.1, high=1000.0, unit='1/s', runtime=True,
         group='clearance',
-        description='How fast a remaining clearance may be used up: at most this share of it per '
-                    'second, and never faster than the arm can brake. Higher values let it go '
-                    'faster near obstacles and turn away later and harder.')
+        description='Largest share of a clearance used up per second. Higher: faster near '
+                    'obstacles, turning away later and harder.')
     clearance_lead: float = parameter(
         0.05, low=0.0, high=2.0, unit='s', runtime=True,
         group='clearance',
-        description='Moving obstacles are kept further away, by their way in this time: their '
-                    'position may be known late, and the arm needs time to evade.')
+        description='Moving obstacles are kept further away by their way in this time. Too short, '
+                    'and late measurements cost clearance.')
     clearance_evasion_horizon: float = parameter(
         2.0, low=0.0, high=10.0, unit='s',
         group='clearance', node=False,
@@ -261,52 +248,41 @@ class PlannerParameters:
                     'course leads into a link, the arm steps aside in time. 0 turns this off.')
     allowed_contacts: tuple[str, ...] = parameter(
         (), runtime=True,
-        description="Contacts that are meant, as 'link:obstacle': the names of a link and an "
-                    "obstacle, or the namespace of its marker; the link 'attached' is what the "
-                    'hand holds. Such a pair keeps no margin, and what touches does not get '
-                    'deeper. A contact that is not allowed ends as soon as the arm may move.')
+        description="Contacts that are meant, as 'link:obstacle' or 'attached:obstacle'. Such a "
+                    'pair keeps no margin, but overlaps no deeper.')
     slow_down: tuple[str, ...] = parameter(
         (), runtime=True,
-        description="Obstacles near which no point of the arm is fast, as 'name=distance:time': "
-                    'the name, or the namespace of markers, the distance [m] at which the arm '
-                    'stands still, and the time [s] in which it could stop. At a distance d from '
-                    'one that moves at v, it is no faster than (d - distance) / time - v. Not '
-                    'safety-rated.')
+        description="Obstacles near which the arm is slow, as 'name=distance:time': it keeps "
+                    'below (d - distance) / time - v. Not safety-rated.')
     limits_position_margin: float = parameter(
         0.01, low=0.0, high=0.5, unit='rad, m', runtime=True,
         group='limits',
-        description='Distance kept from the joint position limits; covers what the arm travels '
-                    'between a measurement and the command made from it.')
+        description='Distance kept from the joint limits, for the travel between a measurement '
+                    'and its command.')
     limits_linear_speed: float = parameter(
         math.inf, low=0.0, unit='m/s', runtime=True,
         group='limits',
-        description='The tip is no faster: a commanded twist is slowed to this, its direction '
-                    'kept, and so is the way to a target; 0 stops every motion. Infinite: 1 m/s '
-                    'for twists, straight lines and chunks; other targets as fast as the joints '
-                    'may.')
+        description='Largest speed of the tip; 0 stops every motion. Infinite: 1 m/s, but on free '
+                    'ways that of the joints.')
     limits_angular_speed: float = parameter(
         math.inf, low=0.0, unit='rad/s', runtime=True,
         group='limits',
-        description='The tip turns no faster, likewise; 0 stops every motion that turns. '
-                    'Infinite: 2 rad/s for twists, straight lines and chunks.')
+        description='Largest turning speed of the tip; 0 stops every turn. Infinite: 2 rad/s, but '
+                    'on free ways that of the joints.')
     drive_lag: float = parameter(
         0.0, low=0.0, high=0.5, unit='s',
         group='drive',
-        description="Time constant of the drives' velocity, of a controller in front of them, "
-                    'too. With it and drive.dead_time the planner knows where the arm should be '
-                    'by now; identify_delay measures both. Off by half, and the tip is a '
-                    'millimetre further off its path.')
+        description="Time constant of the drives' velocity (identify_delay). Off by half, and the "
+                    'tip is a millimetre further off its path.')
     drive_dead_time: float = parameter(
         0.0, low=0.0, high=0.5, unit='s',
         group='drive',
-        description='Time from a command to the first measurement of what it causes, the way '
-                    'there and back included.')
+        description='Time from a command to the first measurement of its effect (identify_delay).')
     singularity_margin: float = parameter(
         0.04, low=0.0, high=10.0, unit='m', runtime=True,
         group='singularity',
-        description='Smallest singular value of J that the arm may go down to; 0 for none. '
-                    'Small values let joints race next to a singularity, large ones shrink the '
-                    'workspace.')
+        description='Smallest allowed singular value of J; 0 for none. Too small, and joints '
+                    'race; too large, and the workspace shrinks.')
     singularity_damping_threshold: float = parameter(
         0.03, low=0.0, high=10.0, unit='m',
         group='singularity', node=False,
@@ -318,8 +294,8 @@ class PlannerParameters:
     horizon_duration: float = parameter(
         3.0, low=0.05, high=30.0, unit='s', runtime=True,
         group='horizon',
-        description='Length of the joint path ahead where the coming command is known. Too '
-                    'short, and the arm turns away late.')
+        description='Length of the joint path ahead with a known command. Too short, and the arm '
+                    'turns away late.')
     horizon_held_duration: float = parameter(
         1.0, low=0.05, high=30.0, unit='s',
         group='horizon', node=False,
@@ -333,36 +309,30 @@ class PlannerParameters:
     horizon_look_ahead: float = parameter(
         1.5, low=0.0, high=10.0, unit='s', runtime=True,
         group='horizon',
-        description='How far dynamic_factor extends its motion to see whether it is blocked by '
-                    'an obstacle or a joint limit. It then follows the joint path that '
-                    'variational plans. Longer gets past more of them, in slower ticks; 0 '
-                    'leaves it at Eq. 2.')
+        description='How far dynamic_factor looks for obstacles and limits, to plan a joint path. '
+                    'Longer gets past more, in slower ticks; 0 is Eq. 2 alone.')
     target_path: str = parameter(
         'free', choices=TARGET_PATHS, runtime=True,
         group='target',
-        description='How the tip goes to a target_pose. free: by a short joint path around what '
-                    'is in the way. straight: in a line and about one axis; it stops where the '
-                    'line is blocked.')
+        description='Way to a target_pose. free: around obstacles. straight: in a line; it stops '
+                    'where that is blocked.')
     target_lag: float = parameter(
         0.08, low=0.0, high=2.0, unit='s', runtime=True, group='target',
-        description='How far the arm follows behind a stream of targets: in this time noise is '
-                    'averaged, and what is late or missing made good. Where messages are so rare '
-                    'that it is less than 1.4 times the gap between two, it is that; where they '
-                    'come in bursts, these count besides. 0 follows at once, and guesses what has '
-                    'not come yet.')
+        description='How far the arm is behind a stream of targets, to average noise and bridge '
+                    'gaps. 0 is rougher.')
     target_effort: float = parameter(
         0.3, low=0.01, high=1.0, runtime=True, group='target',
-        description='Share of each period in which it looks for a way to a target, 1.2 ms at '
-                    'most. With less the arm takes longer to set off, and goes longer ways.')
+        description='Share of each period for the search for a way, 1.2 ms at most. With less the '
+                    'arm sets off later, and goes longer ways.')
     target_gives_way: bool = parameter(
         False, runtime=True, group='target',
-        description='Whether the arm goes aside for some seconds where it finds no free way to '
-                    'its target for 3 s, so that others get past. Of two arms, one should.')
+        description='Whether the arm goes aside if it finds no free way for 3 s. Set it for all '
+                    'arms but one.')
     feedback_gain: float = parameter(
         10.0, low=0.0, high=100.0, unit='1/s', runtime=True,
         group='feedback',
-        description='Feedback of the tip pose error; 0 integrates open-loop, as the paper does, '
-                    'and drifts. Above a tenth of the rate it oscillates.')
+        description='Feedback of the tip pose error; 0 drifts, as the paper does. Above a tenth '
+                    'of the rate it oscillates.')
     feedback_speed: float = parameter(
         0.1, low=0.0, high=100.0, unit='m/s',
         group='feedback', node=False,

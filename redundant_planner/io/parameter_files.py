@@ -57,85 +57,74 @@ class RobotParameters:
     """
 
     urdf: str = parameter(
-        '', description='URDF file: a path, file:// or package:// location. Empty: the '
-                        'parameter robot_description, or else the topic of that name.')
+        '', description='URDF file: a path, file:// or package://. Empty: robot_description, '
+                        'parameter or topic.')
     robot_description: str = parameter(
-        '', description="The URDF's text itself, used where urdf is empty.")
+        '', description="The URDF's text, used where urdf is empty.")
     base_frame: str = parameter(
         '', description='Link in whose frame commands and obstacles are given; empty for the '
-                        "URDF's root link.")
+                        'root.')
     tip_frame: str = parameter(
-        '', description='Link whose origin is the end effector. Required, or else tips.')
+        '', description='Link whose origin is the end effector. This or tips is required.')
     tips: tuple[str, ...] = parameter(
-        (), description='Such links of a body with several arms, instead of tip_frame. Each has '
-                        'topics of its own, TIP/cmd_vel and TIP/target_pose.')
+        (), description='Such links of a body with several arms, with topics TIP/cmd_vel and '
+                        'TIP/target_pose.')
     base: str = parameter(
         '', choices=('', 'holonomic'),
-        description='What carries the arm: nothing that moves, or a base that moves in any '
-                    'direction of the plane. Its place comes in by odom, its twist goes out by '
-                    'base_cmd_vel, and commands and obstacles are given in the frame odom.')
+        description='holonomic: a base that moves in any direction of the plane, by odom and '
+                    'base_cmd_vel.')
     base_weight: float = parameter(
         30.0, group='base', low=1e-3, high=1e6,
-        description='How unwilling the base is to move, beside 1 of each joint of the arm.')
+        description='Cost of moving the base, beside 1 of each joint.')
     base_speed: tuple[float, ...] = parameter(
         (0.5, 1.0), group='base', low=1e-3, high=100.0, unit='m/s, rad/s',
-        description='Its limits of speed, linear and angular.')
+        description='Largest speed of the base, linear and angular.')
     base_acceleration: tuple[float, ...] = parameter(
         (0.5, 1.0), group='base', low=1e-3, high=1e3, unit='m/s², rad/s²',
-        description='Its limits of acceleration, linear and angular.')
+        description='Largest acceleration of the base, linear and angular.')
     base_room: float = parameter(
         5.0, group='base', low=0.1, high=1e3, unit='m',
-        description='How far along x and y it may go from where odom began.')
+        description='How far the base may go along x and y from its start.')
     mount_frame: str = parameter(
-        '', description='Frame in which the base stands at mount_pose, and in which commands and '
-                        'obstacles are given then: that of a cell, or of several arms. Empty: '
-                        "the URDF's links are all there is.")
+        '', description='Frame in which the base stands at mount_pose; commands and obstacles are '
+                        'given in it.')
     mount_pose: tuple[float, ...] = parameter(
         (), low=-1e3, high=1e3, unit='m, rad',
-        description="Pose of the URDF's root link in mount_frame: x y z, and nothing, roll pitch "
-                    'yaw, or a quaternion x y z w.')
+        description='Pose of the root link in mount_frame: x y z, then nothing, roll pitch yaw, '
+                    'or a quaternion.')
     axes: tuple[str, ...] = parameter(
         AXES, choices=AXES,
-        description='Axes of the twist that are controlled; the others are left to the null '
-                    'space.')
+        description='Controlled axes of the twist; the null space has the others.')
     command_frame: str = parameter(
         'base', choices=COMMAND_FRAMES,
-        description='Axes in which cmd_vel is expressed: base (fixed) or tool (turning with the '
-                    'tip). The reference point is the tip either way.')
+        description='Axes of cmd_vel: base (fixed) or tool (turning with the tip).')
     locked_joints: tuple[str, ...] = parameter(
-        (), description="Joints that stand still, as 'joint=position' [rad, m]. '*=measured': "
-                        'planner_node holds the other joints outside the chain where '
-                        'joint_states says that they are when it starts, rather than at 0: '
-                        'grippers and second arms that nobody moves meanwhile.')
+        (), description="Joints that stand still, as 'joint=position'; '*=measured': all outside "
+                        'the chain, where they are at the start.')
     position_limits: tuple[str, ...] = parameter(
         (), unit='rad, m',
-        description="Ranges narrower than the URDF's, as 'joint=low..high', of any joints: those "
-                    'that the drives keep to. A continuous joint gets a range by it. A joint that '
-                    'is found outside may stay there or come in.')
+        description="Ranges narrower than the URDF's, as 'joint=low..high'.")
     velocity_max: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e4, unit='rad/s, m/s',
         description="Replaces the URDF's velocity limits: one value, or one per joint.")
     acceleration_max: tuple[float, ...] = parameter(
         (), low=1e-6, high=1e6, unit='rad/s², m/s²',
-        description="Largest joint acceleration: one value, or one per joint. Empty for the "
-                    "URDF's (version 1.2 of the format has them), or 5 where it has none. Higher "
-                    'than the drives can follow, and the arm overshoots limits and clearances.')
+        description="Largest joint acceleration, one value or one per joint. Empty: the URDF's, "
+                    'or 5. Too high, and the arm overshoots limits and clearances.')
     jerk_max: tuple[float, ...] = parameter(
         (), low=1e-6, unit='rad/s³, m/s³',
-        description='Largest change of the acceleration: one value, or one per joint; .inf for no '
-                    "limit. Empty for the URDF's, or 100/s times the acceleration limit where it "
-                    'has none. Lower values move smoothly, and later by acceleration / jerk.')
+        description="Largest joint jerk, one value or one per joint. Empty: the URDF's, or 100/s "
+                    'times acceleration_max. Lower is smoother, and later.')
     link_shapes: str = parameter(
         'fitted', choices=('fitted', 'straight'),
-        description="Where no capsules are listed: fitted around the URDF's collision geometry "
-                    '(show_robot shows them), or straight from joint to joint with link_radius.')
+        description='Without capsules: fitted around the collision geometry, or straight between '
+                    'joints.')
     link_radius: float = parameter(
         0.0, low=0.0, high=1.0, unit='m',
-        description='Radius of straight link shapes. Too small, and the arm touches what it '
-                    'should not.')
+        description='Radius of straight link shapes. Too small, and the arm touches things.')
     capsules: tuple[str, ...] = parameter(
-        (), description='Names of the link shapes; each has the parameters '
-                        'capsule.NAME.frame, .start, .end and .radius.')
+        (), description='Names of the link shapes; each has capsule.NAME.frame, .start, .end and '
+                        '.radius.')
 
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""

@@ -26,52 +26,47 @@ class CloudParameters:
 
     sensor_pose: tuple[float, ...] = parameter(
         (), low=-1e3, high=1e3, unit='m', runtime=True,
-        description="Pose of the clouds' frame in the base frame: x y z and a quaternion "
-                    'x y z w. Empty: tf2 knows it, or the clouds are in the base frame. A pose '
-                    'that is off by more than self_margin makes the arm see itself.')
+        description="Pose of the clouds' frame in the base frame: x y z and a quaternion; empty "
+                    'for tf2. Off by more than self_margin, and the arm sees itself.')
     sensor_frame: str = parameter(
         '', runtime=True,
-        description='Frame that sensor_pose is of; clouds in another frame are looked up in '
-                    'tf2. Empty: sensor_pose holds for every frame.')
+        description='Frame that sensor_pose is of; other clouds are looked up in tf2. Empty: '
+                    'every frame.')
     crop_box: tuple[float, ...] = parameter(
         (), low=-1e3, high=1e3, unit='m', runtime=True,
-        description='Box in the base frame outside which points do not count: x_min y_min z_min '
-                    'x_max y_max z_max. Empty for none. A table that the arm stands on and may '
-                    'touch lies outside it.')
+        description='Points outside do not count: x_min y_min z_min x_max y_max z_max in the base '
+                    'frame; empty for none.')
     reach_margin: float = parameter(
         0.2, low=0.0, high=10.0, unit='m', runtime=True,
-        description="How far beyond the arm's reach points count. Less than the planner's "
-                    'clearance.influence_distance, and it learns of obstacles late.')
+        description="How far beyond the arm's reach points count. Too small, and the planner sees "
+                    'obstacles late.')
     self_margin: float = parameter(
         0.03, low=0.0, high=0.5, unit='m', runtime=True,
-        description='Points this close to the arm are taken to be the arm. Less than the error '
-                    'of camera and calibration, and the arm sees itself as an obstacle. Large '
-                    'values hide what comes near it.')
+        description='Points this close to the arm are the arm. Too small, and it sees itself; too '
+                    'large, and it misses what comes near.')
     stamp_uncertainty: float = parameter(
         0.01, low=0.0, high=1.0, unit='s', runtime=True,
-        description='By how much the stamps of clouds and joint_states may disagree. Links get '
-                    'thicker by how far they move in that time.')
+        description='Difference between the stamps of clouds and joint_states; links get thicker '
+                    'by it.')
     voxel_size: float = parameter(
         0.025, low=0.005, high=1.0, unit='m',
-        description='Edge of the cubes. Small ones cost the planner time, large ones close '
-                    'gaps that the arm would fit through.')
+        description='Edge of the cubes. Small ones cost time, large ones close gaps that the arm '
+                    'would fit through.')
     min_points: int = parameter(
         2, low=1, high=1000, runtime=True,
-        description='A cube with fewer points is taken for noise. Too many, and what is far, '
-                    'thin or seen at a flat angle vanishes.')
+        description='A cube with fewer points is noise. Too many, and distant or thin things '
+                    'vanish.')
     persistence: float = parameter(
         2.0, low=0.0, high=3600.0, unit='s', runtime=True,
-        description='How long a cube stays that clouds do not show any more, because something '
-                    'hides it. Too short, and the arm forgets what it hides itself; too long, '
-                    'and what has gone blocks it.')
+        description='How long a hidden cube stays. Too short, and the arm forgets what it hides; '
+                    'too long, and old cubes block it.')
     ray_clearing: bool = parameter(
         True, runtime=True,
-        description='Whether a cube is free as soon as the sensor sees through it. Only for '
-                    'clouds in the frame of the sensor itself: rays begin at its origin.')
+        description='Whether a cube is free once the sensor sees through it; only for clouds in '
+                    'its own frame.')
     self_capsules: tuple[str, ...] = parameter(
-        (), description='Names of shapes besides the link shapes that are not obstacles, such as '
-                        "the arm's base, cables or the camera's mount; each has the parameters "
-                        'self_capsule.NAME.frame, .start, .end and .radius.')
+        (), description='Other shapes that are no obstacles; each has self_capsule.NAME.frame, '
+                        '.start, .end and .radius.')
 
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""
@@ -90,17 +85,14 @@ class SceneParameters:
 
     scene_planner: str = parameter(
         'planner_node', group='scene',
-        description='Node whose allowed_contacts follow the allowed collision matrix of the '
-                    'scene. Empty: nobody is told, and a gripper keeps its distance from what it '
-                    'is to grasp.')
+        description='Node whose allowed_contacts follow the scene. Empty for none: a gripper then '
+                    'keeps its distance.')
     scene_reach_margin: float = parameter(
         0.5, low=0.0, high=10.0, unit='m', group='scene',
-        description="How far beyond the arm's reach cubes of an octomap count. Less than the "
-                    "planner's clearance.influence_distance, and it learns of obstacles late.")
+        description="How far beyond the arm's reach cubes of an octomap count. Too small, and the "
+                    'planner sees them late.')
     allowed_contacts: tuple[str, ...] = parameter(
-        (), description="Contacts that are allowed besides those of the scene, as planner_node's "
-                        'parameter of this name; both read it from one file. Left out here, the '
-                        'scene alone decides.')
+        (), description='Contacts allowed besides those of the scene, as for planner_node.')
 
     def __post_init__(self) -> None:
         """Check every value."""
@@ -118,12 +110,11 @@ class CameraParameters:
     camera_rate: float = parameter(
         15.0, low=0.1, high=100.0, unit='Hz', description='Rate of points.')
     camera_frame: str = parameter(
-        'camera', description='Frame of the clouds. It has the axes of an image: x to the right, '
-                              'y down, z forward.')
+        'camera', description='Frame of the clouds, with the axes of an image: x right, y down, z '
+                              'forward.')
     camera_pose: tuple[float, ...] = parameter(
         (1.5, 0.0, 1.2, 0.615324, 0.615324, -0.348391, -0.348391), low=-1e3, high=1e3, unit='m',
-        description='Pose of the camera in the base frame: x y z and a quaternion x y z w. As it '
-                    'is, the camera stands in front of the arm and looks down at it.')
+        description='Pose of the camera in the base frame: x y z and a quaternion.')
     image_width: int = parameter(
         320, low=1, high=1920, description='Points in a row.')
     image_height: int = parameter(
@@ -132,7 +123,7 @@ class CameraParameters:
         1.2, low=0.05, high=3.0, unit='rad', description='Angle between the left and right edge.')
     camera_range: float = parameter(
         5.0, low=0.1, high=100.0, unit='m',
-        description='What is further away is not seen: its points are NaN.')
+        description='Points further away are NaN.')
     camera_noise: float = parameter(
         0.0, low=0.0, high=0.1, unit='m',
         description='Standard deviation of the distance along each ray.')

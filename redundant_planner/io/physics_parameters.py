@@ -23,39 +23,36 @@ class PhysicsParameters:
 
     physics_rate: int = parameter(
         1000, low=100, high=10_000, unit='Hz',
-        description='Steps of physics and servo in a second. A slow rate makes contacts soft and '
-                    'the servo shake.')
+        description='Steps of physics per second. Too slow, and contacts are soft and the servo '
+                    'shakes.')
     servo: str = parameter(
         VELOCITY_SERVO, choices=(VELOCITY_SERVO, POSITION_SERVO, NO_SERVO),
-        description='What joint_command means to the drives: velocity (they integrate it to the '
-                    'position that they hold), position, or off: no torque, the arm falls.')
+        description='How drives take joint_command: as velocity, position, or off: no torque, the '
+                    'arm falls.')
     servo_bandwidth: float = parameter(
         15.0, low=0.5, high=100.0, unit='Hz',
-        description='Natural frequency f of the servo, critically damped. The stiffness of a '
-                    "joint is (2πf)² times the largest inertia about it. Real arms' are 5 to "
-                    '30 Hz; a slow servo sags and lags.')
+        description='Natural frequency of the servo, critically damped. Real arms have 5 to 30 '
+                    'Hz; a slow servo sags and lags.')
     armature: float = parameter(
         0.1, low=0.0, high=100.0, unit='kg m², kg',
-        description="Inertia of a drive's rotor behind its gear, the gear's ratio squared times "
-                    'as large. Without it small links shake.')
+        description="Inertia of a drive's rotor, times its gear's ratio squared. Without it small "
+                    'links shake.')
     joint_damping: float = parameter(
         1.0, low=0.0, high=1000.0, unit='Nm s/rad, N s/m',
-        description='Viscous friction of each joint, which the servo does not know of.')
+        description='Viscous friction of each joint, unknown to the servo.')
     gravity: tuple[float, ...] = parameter(
         (0.0, 0.0, -9.81), low=-100.0, high=100.0, size=3, unit='m/s²',
-        description="Gravity in the axes of the URDF's root link: other than downwards for an arm "
-                    'on a wall or a ceiling.')
+        description='Gravity in the axes of the root link, for an arm on a wall or a ceiling.')
     mass_error: float = parameter(
         0.0, low=-0.9, high=10.0,
-        description='How much heavier the simulated arm is than its URDF says, as a share: 0.2 '
-                    'for 20 % more mass and inertia of every link. The servo compensates the '
-                    "URDF's.")
+        description='How much heavier the arm is than its URDF, as a share. The servo compensates '
+                    "the URDF's mass.")
     lag: float = parameter(
         0.0, low=0.0, high=1.0, unit='s',
         description='Dead time between a command and the motion it causes.')
     command_timeout: float = parameter(
         0.05, low=0.001, high=10.0, unit='s',
-        description='The arm holds still when no joint_command came for this long.')
+        description='Without joint_command for this long the arm holds still.')
 
     def __post_init__(self) -> None:
         """Check every value."""
@@ -72,7 +69,7 @@ class MujocoHardwareParameters:
 
     rate: int = parameter(
         250, low=1, high=1000, unit='Hz',
-        description="Rate of joint_states, and of /clock: there it must be planner_node's.")
+        description="Rate of joint_states, and of /clock: then planner_node's.")
     initial_joints: tuple[str, ...] = parameter(
         (), description='Joints that do not start at 0.')
     initial_positions: tuple[float, ...] = parameter(
@@ -82,15 +79,13 @@ class MujocoHardwareParameters:
         0.0, low=0.0, high=0.1, unit='rad, m',
         description='Standard deviation of the noise on published positions.')
     wrap_continuous: bool = parameter(
-        False, description='Whether joints that turn without end are published within (−π, π], '
-                           'as most drivers do. If not, their positions go on for ever.')
+        False, description='Whether continuous joints are published within (−π, π], as most '
+                           'drivers do.')
     static_obstacles: tuple[str, ...] = parameter(
-        (), description="Names of fixed obstacles that are bodies, described as planner_node's "
-                        'static_obstacle.NAME parameters: one file serves both nodes.')
+        (), description='Fixed obstacles that are bodies, as for planner_node.')
     thread_priority: int = parameter(
         40, low=0, high=98,
-        description='Real-time priority (SCHED_FIFO), where the system grants it; 0 for none. '
-                    'Without it a busy machine interrupts joint_states, as no real arm would.')
+        description="Real-time priority (SCHED_FIFO), as planner_node's.")
 
     def __post_init__(self) -> None:
         """Check every value and the relations between them."""

@@ -245,38 +245,48 @@ def changed_entries(
     return entries
 
 
+def rows_of(settings: type[Any]) -> list[str]:
+    """Return the table rows of the parameters that nodes declare."""
+    rows = []
+    for entry in fields(settings):
+        spec = spec_of(entry)
+        if not spec.node:
+            continue
+        allowed = ', '.join(choice or "''" for choice in spec.choices)
+        if math.isfinite(spec.low) or math.isfinite(spec.high):
+            allowed = f'{spec.low:g}…{spec.high:g}'.replace('inf', '∞')
+        allowed = f'{allowed} {spec.unit}'.strip()
+        default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
+        rows.append(f'| `{ros_name(entry)}`{" ●" if spec.runtime else ""} | `{default!r}` | '
+                    f'{allowed} | {spec.description} |')
+    return rows
+
+
 def parameter_page() -> str:
     """Return docs/parameters.md: every parameter, as declared."""
     lines = [
         '# Parameters', '',
         '<!-- Made by `python -m redundant_planner.nodes.ros_parameters`; do not edit. -->', '',
-        'Parameters marked ● may change while the node runs (`ros2 param set`); a value that '
-        'does not fit is refused with the reason, and nothing changes.', '']
-    for title, settings in (
+        'Parameters marked ● may change while the node runs (`ros2 param set`). The node refuses '
+        'a value that does not fit, with the reason.', '']
+    simulated = rows_of(FakeHardwareParameters)
+    for title, *groups in (
             ('All nodes but scenario_player: the robot', RobotParameters),
             ('planner_node: the mathematics', PlannerParameters),
             ('planner_node: the loop', PlannerNodeParameters),
             ('fake_hardware_node', FakeHardwareParameters),
-            ('mujoco_hardware_node', MujocoHardwareParameters),
-            ('mujoco_hardware_node: the physics', PhysicsParameters),
+            ('mujoco_hardware_node, besides those of fake_hardware_node',
+             MujocoHardwareParameters, PhysicsParameters),
             ('Both simulated arms: simulated time', ClockParameters),
             ('scenario_player', PlayerParameters),
             ('cloud_obstacles', CloudParameters),
             ('planning_scene_obstacles', SceneParameters),
             ('depth_camera', CameraParameters)):
-        lines += [f'## {title}', '', '| parameter | default | unit | range | meaning |',
-                  '|---|---|---|---|---|']
-        for entry in fields(settings):
-            spec = spec_of(entry)
-            if not spec.node:
-                continue
-            allowed = ', '.join(spec.choices)
-            if math.isfinite(spec.low) or math.isfinite(spec.high):
-                allowed = f'{spec.low:g} … {spec.high:g}'.replace('inf', '∞')
-            default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
-            lines.append(f'| `{ros_name(entry)}`{" ●" if spec.runtime else ""} | `{default!r}` | '
-                         f'{spec.unit} | {allowed} | {spec.description} |')
-        lines.append('')
+        lines += [f'## {title}', '',
+                  '| parameter | default | range | meaning |', '|---|---|---|---|']
+        rows = [row for settings in groups for row in rows_of(settings)]
+        lines += [row for row in rows if MujocoHardwareParameters not in groups
+                  or row not in simulated] + ['']
     return '\n'.join(lines)
 
 

@@ -133,8 +133,7 @@ def shortest_path_index(least_norm: Vector, change: Vector) -> tuple[float, Arra
     """Return ½‖J⁺ẋ‖², the integrand of Eq. 11 along the least-norm motion, and its gradient.
 
     With y = (JJᵀ)⁻¹ẋ, ∂(J⁺ẋ)/∂q_k = −J⁺ (∂J/∂q_k) J⁺ẋ + P (∂J/∂q_k)ᵀ y. The second term is
-    orthogonal to J⁺ẋ, so the gradient is −yᵀ (∂J/∂q_k) J⁺ẋ: exact, with no inverse of its own
-    (docs/derivations.md).
+    orthogonal to J⁺ẋ, so the gradient is −yᵀ (∂J/∂q_k) J⁺ẋ: exact, with no inverse of its own.
 
     Args:
         least_norm: (n,) J⁺ẋ.

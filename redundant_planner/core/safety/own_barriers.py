@@ -1,4 +1,14 @@
-"""The user's own barriers as rows of the filter (docs/safety.md)."""
+"""The user's own barriers as rows of the filter (docs/safety.md).
+
+With v the velocity of the tick before and r = Σ |∂h/∂q_j| a_j (c + dt²), what the mean of planned
+velocities and a tick cut off corners, a barrier h ≥ 0 asks for two rows:
+
+    ∇h·q̇ + min(0, (h(q + dt v) − h(q))/dt − ∇h·v) ≥ −rate · (h − r)
+    ∇h_r·q̇ ≥ −rate · (h_r − r − ∇h_r·(q_r − q)),      q_r = q + ½ T v, if ∇h_r·v < 0
+
+The first one's second term is ½ dt vᵀ(∂²h/∂q²) v, where h bends down. The second one keeps h
+where the arm comes to rest, and asks for no more braking than proportional braking gives.
+"""
 
 from __future__ import annotations
 
