@@ -2,7 +2,7 @@
 
     python -m benchmark.speed --json speed.json
 
-The arm moves its tip to and fro, at up to 7 cm/s and 0.1 rad/s, among small ellipsoids, or boxes
+The arm moves its tips to and fro, at up to 7 cm/s and 0.1 rad/s, among small ellipsoids, or boxes
 and others with `--shapes`. All of them lie within reach (up to 1.2 m from the base) or spread over
 a hall (20 m × 20 m × 4 m). Every figure is a median over ticks of one process; compare ratios, the
 machine's own speed changes from minute to minute. `tick_own_p99_us` is the 99th percentile of
@@ -28,8 +28,9 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmark.crowds import ELLIPSOIDS, Layout, obstacles_off, SHAPE_NAMES, shapes_of
-from benchmark.peers import library, missing
+from benchmark.peers import library, missing, OF_SEVERAL_TIPS
 from benchmark.robots import make_robot
+from benchmark.tip_bodies import BODIES, make_body
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs
 from redundant_planner.core.obstacles.obstacle import ELLIPSOID, Obstacle
@@ -39,7 +40,7 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.jacobian import derivative_between
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import integrate, Pose
+from redundant_planner.core.robot.se3 import integrate, Poses
 from redundant_planner.core.safety.barriers import barriers_of
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Request, safe_velocity
@@ -64,6 +65,14 @@ _EXTENTS = {'reach': ((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2)),
             'hall': ((-10.0, -10.0, 0.0), (10.0, 10.0, 4.0))}
 
 
+def robot_named(name: str) -> tuple[Robot, Array]:
+    """Return an arm or a body, and where it starts (n,)."""
+    if name in BODIES:
+        body = make_body(name)
+        return body, body.ready
+    return make_robot(name, 6 if name == 'panda' else 3), STARTS[name]
+
+
 def obstacles_around(
     robot: Robot, start: Array, count: int, where: str, layout: Layout = ELLIPSOIDS,
 ) -> list[Obstacle]:
@@ -86,7 +95,7 @@ def _way(robot: Robot, start: Array) -> Array:
         for _ in range(steps):
             postures.append(q)
             q = q + end / steps * (np.linalg.pinv(robot.kinematics(q).jacobian)
-                                   @ robot.task_rows(_TWIST))
+                                   @ robot.task_rows(np.tile(_TWIST, len(robot.tips))))
         postures.append(q)
     return np.array(postures)
 
@@ -102,7 +111,7 @@ def planner_times(
         planner.prepare(scene)
         q = start
         for i in range(ticks):
-            twist = _twist_at(i)
+            twist = _twists_at(i, robot)
             begin = time.perf_counter()
             result = planner.step(q, twist, scene, _DT)
             times[one, i] = time.perf_counter() - begin
@@ -121,13 +130,13 @@ def peer_times(
     p = PlannerParameters()
     solver = library(peer)(
         robot, obstacles, p.clearance_margin, p.clearance_self_margin)
-    arm = robot.kinematics(start)
-    pose, q = Pose(arm.tip_position, arm.tip_rotation), start
+    poses, q = robot.kinematics(start).tips, start
     times = np.empty(ticks)
     for i in range(ticks):
-        pose = integrate(pose, _twist_at(i), _DT, False)
+        poses = Poses.of(*(integrate(pose, _twist_at(i), _DT, False) for pose in poses.each))
+        due: Any = poses if len(robot.tips) > 1 else poses.first
         begin = time.perf_counter()
-        dq = solver.step(q, pose, _DT)
+        dq = solver.step(q, due, _DT)
         times[i] = time.perf_counter() - begin
         q = q + _DT * dq
     return 1e6 * times
@@ -135,6 +144,12 @@ def peer_times(
 
 def _twist_at(tick: int) -> Array:
     return np.sin(2.0 * np.pi * tick / _TURN) * _TWIST
+
+
+def _twists_at(tick: int, robot: Robot) -> Array:
+    """Return what `Planner.step` takes: the same twist of each tip."""
+    return _twist_at(tick) if len(robot.tips) == 1 else np.tile(
+        _twist_at(tick), (len(robot.tips), 1))
 
 
 def sections(
@@ -151,7 +166,7 @@ def sections(
         maps, links, fastest, speeds, p.clearance_gain, p.clearance_influence_distance, all_seen)
     limits = Limits(np.array((robot.position_max, robot.position_min)),
                     np.array(robot.velocity_max), np.array(robot.acceleration_max), 0.0)
-    at_rest, twist = np.zeros(robot.n), robot.task_rows(_TWIST)
+    at_rest, twist = np.zeros(robot.n), robot.task_rows(np.tile(_TWIST, len(robot.tips)))
     parts = {
         'kinematics': lambda: robot.kinematics(start),
         'clearances and gradients': lambda: near_pairs(
@@ -179,7 +194,7 @@ def hour_growth(robot: Robot, start: Array) -> float:
     for i in track(range(_HOUR), description='an hour of ticks'):
         if i in (_HOUR // 60, _HOUR - 1):
             sizes.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-        q = q + _DT * planner.step(q, _twist_at(i), scene, _DT).dq
+        q = q + _DT * planner.step(q, _twists_at(i, robot), scene, _DT).dq
     return (sizes[1] - sizes[0]) / 1024.0
 
 
@@ -196,7 +211,7 @@ def measure(
     name: str, counts: list[int], ticks: int, peers: bool, layout: Layout = ELLIPSOIDS,
 ) -> dict[str, Any]:
     """Measure everything for one arm; keys as in the JSON, then the number of obstacles."""
-    robot, start = make_robot(name, 6 if name == 'panda' else 3), STARTS[name]
+    robot, start = robot_named(name)
     result: dict[str, Any] = {
         key: {} for key in (
             'tick_us', 'tick_p99_us', 'tick_own_p99_us', 'variational_us', 'hall_tick_us',
@@ -216,7 +231,8 @@ def measure(
             result['variational_us'][key] = float(np.median(planner_times(
                 robot, start, around, 'variational', ticks // 4)))
         for label, most in _MOST.items():
-            if not peers or name != 'panda' or count > most or missing(label):
+            if not peers or name == 'paper' or count > most or missing(label) or (
+                    len(robot.tips) > 1 and label not in OF_SEVERAL_TIPS):
                 continue
             taken = float(np.median(peer_times(
                 label, robot, start, around, max(ticks // (1 + count), 40))))
@@ -244,7 +260,7 @@ def versions() -> dict[str, str]:
 def main(args: list[str] | None = None) -> int:
     """Run the benchmark; return the process's exit status."""
     parser = argparse.ArgumentParser(prog='benchmark.speed', description=__doc__)
-    parser.add_argument('--robot', choices=tuple(STARTS), default='panda')
+    parser.add_argument('--robot', choices=(*STARTS, *BODIES), default='panda')
     parser.add_argument('--counts', type=int, nargs='+', default=list(COUNTS), metavar='COUNT')
     parser.add_argument('--ticks', type=int, default=2000)
     parser.add_argument('--shapes', choices=SHAPE_NAMES, default=ELLIPSOID,
@@ -261,14 +277,15 @@ def main(args: list[str] | None = None) -> int:
     options = parser.parse_args(args)
     result = measure(options.robot, options.counts, options.ticks, not options.without_peers,
                      Layout(shapes_of(options.shapes), options.clear_way))
-    robot = make_robot(options.robot, 6 if options.robot == 'panda' else 3)
     further: dict[str, float] = {}
+    if options.voxels or options.hour:
+        robot, start = robot_named(options.robot)
     if options.voxels:
         from benchmark.voxels import voxel_ticks
-        further = voxel_ticks(robot, STARTS[options.robot], options.voxels, _twist_at,
+        further = voxel_ticks(robot, start, options.voxels, _twist_at,
                              options.ticks)
     if options.hour:
-        further['hour_growth_mib'] = hour_growth(robot, STARTS[options.robot])
+        further['hour_growth_mib'] = hour_growth(robot, start)
     table = Table('', *map(str, options.counts),
                   title=f'{options.robot}, {options.shapes}: time per tick by obstacles')
     for key, found in result.items():
