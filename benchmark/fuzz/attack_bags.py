@@ -42,10 +42,11 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_repair import repair
 from redundant_planner.io.parameter_files import read_robot_parameters, settings_of
+from redundant_planner.io.parameter_writer import parameter_file_text
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.io.recording import read_recording
 from redundant_planner.io.resources import share_directory
-from redundant_planner.io.robot_files import load_robot, parameter_file_text
+from redundant_planner.io.robot_files import load_robot
 from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.nodes.ros_parameters import PlannerNodeParameters

@@ -30,7 +30,6 @@ from benchmark.fuzz.tally import Tally
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.io.obstacle_tracker import ObstacleTracker
 from redundant_planner.io.payload import Payload
 from redundant_planner.io.resources import share_directory

@@ -28,6 +28,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.urdf import read_urdf
 from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import collision_pieces
+from redundant_planner.io.likely_tips import likely_tip, likely_tips
 from redundant_planner.io.limit_report import limit_lines, narrower_soft_limits
 from redundant_planner.io.link_shapes import capsule_entry, Fit, fitted_capsules
 from redundant_planner.io.node_parameters import FakeHardwareParameters
@@ -40,7 +41,7 @@ from redundant_planner.io.parameter_files import (
     urdf_text,
 )
 from redundant_planner.io.resources import resolve
-from redundant_planner.io.robot_files import build_robot, likely_tip, likely_tips
+from redundant_planner.io.robot_files import build_robot
 from redundant_planner.io.xacro_files import expanded, urdf_in
 
 Array = npt.NDArray[np.float64]
