@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -11,18 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.quaternions import quaternion_of
-from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.progress import TargetState
+from redundant_planner.nodes.target_text import TARGET, text_of_target
 
 Array = npt.NDArray[np.float64]
 
-# What a target is called on ~/target: of the tip place and quaternion, x y z and x y z w, in the
-# base frame; of the joints name=position for each; of a chunk how much it has, and its end.
-TARGET = 'target'
 # What ~/target says of an arm that does not do what it is told.
 DOES_NOT_FOLLOW = 'does not follow'
 _LEFT = ('distance [m]', 'angle [rad]', 'expected time [s]', 'ends off by [m, rad]',
@@ -162,7 +158,7 @@ def progress_status(
         status.level, status.message = DiagnosticStatus.ERROR, DOES_NOT_FOLLOW
         status.values = [KeyValue(key=key, value=value) for key, value in {
             **dict.fromkeys(_LEFT, 'nan'), 'limited by': astray,
-            TARGET: _target_text(robot, target)}.items()]
+            TARGET: text_of_target(target, robot.joint_names)}.items()]
         return status
     progress = result.progress if result is not None else None
     if result is None or target is None or progress is None:
@@ -177,23 +173,9 @@ def progress_status(
     status.values = [KeyValue(key=key, value=value) for key, value in {
         **dict(zip(_LEFT, left)), **dict(zip(_ALONG, along)),
         'limited by': result.reason,
-        TARGET: _target_text(robot, target),
+        TARGET: text_of_target(target, robot.joint_names),
     }.items()]
     return status
-
-
-def _target_text(robot: Robot, target: Target | TipTargets) -> str:
-    if isinstance(target, Mapping):
-        return '; '.join(f'{tip}: {_target_text(robot, pose)}'
-                         for tip, pose in target.items() if pose is not None)
-    if isinstance(target, Chunk):
-        return (f'{len(target.times)} points within {target.times[-1]:.3f} s, the last one at '
-                f'{_target_text(robot, target.end)}')
-    if isinstance(target, Pose):
-        return ' '.join(f'{number:.6f}' for number in (
-            *target.position, *quaternion_of(target.rotation)))
-    return ' '.join(f'{name}={position:.6f}'
-                    for name, position in zip(robot.joint_names, target))
 
 
 def _number(unit: float, statistic: object, values: Collection[float]) -> str:
