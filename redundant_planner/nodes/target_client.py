@@ -97,6 +97,7 @@ class TargetClient:
         self._tip = tip
         self._target: Publisher | None = None
         self._sent: Goal | None = None
+        self._is_interrupted = False
 
     def _on_configuration(self, message: String) -> None:
         self._configuration = message.data
@@ -134,7 +135,21 @@ class TargetClient:
         return (isinstance(sent, np.ndarray) and isinstance(named, np.ndarray)
                 and _is_same(named, sent))
 
-    def spin(self, seconds: float = 0.02) -> None:
+    def interrupt(self) -> None:
+        """Have `spin` raise KeyboardInterrupt: raised within a callback it would be logged."""
+        self._is_interrupted = True
+
+    def spin(self) -> None:
+        """Listen for a moment.
+
+        Raises:
+            KeyboardInterrupt: `interrupt` was called.
+        """
+        self._listen()
+        if self._is_interrupted:
+            raise KeyboardInterrupt
+
+    def _listen(self, seconds: float = 0.02) -> None:
         """Listen for a while [s]."""
         spin_once(self._executor, seconds)
 
@@ -245,7 +260,7 @@ class TargetClient:
         rests = False
         self._speeds[:] = np.nan
         while not rests and time.monotonic() < until:
-            self.spin(0.1)
+            self._listen(0.1)
             rests = bool((self._speeds < _AT_REST).all())
         if answer != PAUSED_ALREADY and self._ask_for_pause(False, until + 1.0) is None:
             return f'{self._planner} stays paused: it does not answer any more'
@@ -255,7 +270,7 @@ class TargetClient:
         """Have the planner pause or go on; return its answer, None if none comes in time [s]."""
         answer = self._pause.call_async(SetBool.Request(data=paused))
         while not answer.done() and time.monotonic() < until:
-            self.spin()
+            self._listen()
         return str(answer.result().message) if answer.done() else None
 
 

@@ -124,6 +124,13 @@ def _target_of(
     return target_of(tip, options.position, options.rpy, options.relative)
 
 
+def _have_interrupted(client: TargetClient) -> None:
+    """Have Ctrl-C end the client's waiting between two callbacks, however often it comes."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda *_: client.interrupt())
+
+
 def _stopped(client: TargetClient) -> bool:
     """Bring the arm to rest; return whether that worked, and if not, say so."""
     # Another Ctrl-C would leave the arm moving, or the planner paused.
@@ -189,6 +196,7 @@ def main(args: list[str] | None = None) -> int:
         keep_off_shared_memory()
         rclpy.init(args=['go_to', *given[ros:]], signal_handler_options=SignalHandlerOptions.NO)
         client = TargetClient(options.planner, options.tip)
+        _have_interrupted(client)
         robot, q = client.arm(joints=not options.of_tip)
         target = _target_of(options, robot, q, client.held)
         client.send(target)
