@@ -181,9 +181,10 @@ class ControlledLoop:
                                  robot.position_min, robot.position_max),
             last_word=LastWord.absent('simulated'), guard=guard, warn=self._warn,
             publish_tick=None)
-        self.loop.inboxes = [(self._states, self.loop.on_joint_states),
+        self.loop.inboxes = [(self._states, self.loop.joints.on_joint_states),
                              (self._twists, command.on_twist),
-                             (self._targets, self.loop.on_joint_target)]
+                             (self._targets, lambda raw: command.on_joint_target(
+                                 raw, robot, self.loop.supervisor.posture))]
 
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Let time pass; return whether it ended before, as `until` came true after a tick."""
