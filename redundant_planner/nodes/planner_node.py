@@ -47,11 +47,11 @@ from redundant_planner.nodes.ros_parameters import on_change, STATIC_OBSTACLE
 from redundant_planner.nodes.second_process import Brief
 from redundant_planner.nodes.settings import Settings
 from redundant_planner.nodes.startup import Startup
-from redundant_planner.nodes.surroundings import Surroundings
 from redundant_planner.nodes.throttled_log import ThrottledLog
 from redundant_planner.nodes.tick_phase import delay_to_middle
 from redundant_planner.nodes.tip_commands import TipCommands
 from redundant_planner.nodes.tip_topics import OBJECT
+from redundant_planner.nodes.topic_watch import TopicWatch
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
@@ -85,7 +85,7 @@ class PlannerNode(EndableNode):
         # First, as rclpy's constructor already calls `go_first`.
         self.loop: ControlLoop | None = None
         self._reports: Reports | None = None
-        self._surroundings: Surroundings | None = None
+        self._topic_watch: TopicWatch | None = None
         self._ticked_ahead = False  # whether a tick has run before the timer asked for it
         super().__init__('planner_node')
         self._last_word = last_word or LastWord.absent('not asked for')
@@ -104,7 +104,7 @@ class PlannerNode(EndableNode):
         self._last_word.brief(self._brief(robot))
         loop = self._make_loop(planner)
         self._connect(loop)
-        self._surroundings = Surroundings(self, loop, self._last_word, self._warn)
+        self._topic_watch = TopicWatch(self, loop, self._last_word, self._warn)
         self._reports = self._add_chores(loop)
         self._reports.publish_configuration()
         on_change(self, lambda: (self._settings.planner, self._settings.node), self._apply,
@@ -288,10 +288,10 @@ class PlannerNode(EndableNode):
 
     def _look_around(self) -> None:
         """See who publishes on this node's topics, who listens, and if its last word is sure."""
-        assert self.loop is not None and self._surroundings is not None
+        assert self.loop is not None and self._topic_watch is not None
         if self.loop.at_rest:
             self._move_ticks(self.loop)
-        self._surroundings.look()
+        self._topic_watch.look()
 
     def _move_ticks(self, loop: ControlLoop) -> None:
         """Have commands fall half way between measurements, where a controller takes positions.

@@ -17,7 +17,7 @@ from redundant_planner.nodes.tip_topics import OBJECT
 _HEARD_WITHIN = 2.0
 
 
-class Surroundings:
+class TopicWatch:
     """Tells the loop who publishes and who listens, and the log what has become worse."""
 
     def __init__(
