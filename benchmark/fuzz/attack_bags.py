@@ -59,13 +59,8 @@ from redundant_planner.tools.analyze_bag import (
     motion_table,
     peak_table,
 )
-from redundant_planner.tools.replay_bag import (
-    again,
-    main as replay_bag,
-    otherwise,
-    Replay,
-    write_replay,
-)
+from redundant_planner.tools.replay_bag import main as replay_bag, write_replay
+from redundant_planner.tools.replayed_ticks import again, otherwise, Replay
 
 Random = np.random.Generator
 
