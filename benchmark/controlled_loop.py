@@ -182,9 +182,10 @@ class ControlledLoop:
                                  robot.position_min, robot.position_max),
             last_word=LastWord.absent('simulated'), guard=guard, warn=self._warn,
             publish_tick=None)
-        inboxes: list[Any] = [(self._states, self.loop.on_joint_states),
+        inboxes: list[Any] = [(self._states, self.loop.joints.on_joint_states),
                               (self._twists, command.on_twist),
-                              (self._targets, self.loop.on_joint_target)]
+                              (self._targets, lambda raw: command.on_joint_target(
+                                  raw, robot, self.loop.supervisor.posture))]
         self.loop.inboxes = inboxes
 
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:

@@ -8,9 +8,10 @@ import sysconfig
 
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.robot import model
+from redundant_planner.io.likely_tips import likely_tip
 from redundant_planner.io.parameter_files import urdf_text
 from redundant_planner.io.resources import read_text
-from redundant_planner.io.robot_files import build_robot, likely_tip
+from redundant_planner.io.robot_files import build_robot
 from redundant_planner.tools.show_robot import described_by_urdf
 
 ROBOTS = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share'

@@ -12,8 +12,8 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.parameter_files import read_robot_parameters
+from redundant_planner.io.parameter_writer import parameter_file_text
 from redundant_planner.io.resources import share_directory
-from redundant_planner.io.robot_files import parameter_file_text
 from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.simulation import simulate

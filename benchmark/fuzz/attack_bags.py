@@ -43,10 +43,11 @@ from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.bag_repair import repair
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.parameter_files import read_robot_parameters, settings_of
+from redundant_planner.io.parameter_writer import parameter_file_text
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.io.recording import read_recording
 from redundant_planner.io.resources import share_directory
-from redundant_planner.io.robot_files import load_robot, parameter_file_text
+from redundant_planner.io.robot_files import load_robot
 from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.simulation import simulate
@@ -58,13 +59,8 @@ from redundant_planner.tools.analyze_bag import (
     motion_table,
     peak_table,
 )
-from redundant_planner.tools.replay_bag import (
-    again,
-    main as replay_bag,
-    otherwise,
-    Replay,
-    write_replay,
-)
+from redundant_planner.tools.replay_bag import main as replay_bag, write_replay
+from redundant_planner.tools.replayed_ticks import again, otherwise, Replay
 
 Random = np.random.Generator
 

@@ -22,9 +22,10 @@ from redundant_planner.core.robot.capsule_fit import distances, Shape
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
 from redundant_planner.io.collision_geometry import collision_pieces
+from redundant_planner.io.likely_tips import likely_tip
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.resources import share_directory
-from redundant_planner.io.robot_files import build_robot, likely_tip
+from redundant_planner.io.robot_files import build_robot
 from redundant_planner.tools.show_robot import parameter_file
 
 _PANDA = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share' / 'example-robot-data'

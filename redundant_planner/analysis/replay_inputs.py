@@ -86,54 +86,19 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
         raise RecordingError(f"'{bag.path}': {'; '.join(notes)}")
     inputs = Inputs(robot, values, notes=notes)
     inputs.topics = obstacle_topics(values)
-    places = {topic: i for i, topic in enumerate(bag.call(inputs.topics))}
-    inputs.obstacles = [[] for _ in places]
-    joints = {topic: ChosenJoints(topic, robot.joint_names, bag.left_out, Seams.of(robot))
-              for topic in ('joint_states', 'joint_command')}
-    for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', *places,
+    collector = _Collector(bag, inputs)
+    for item in bag.read(('joint_states', 'joint_command', 'ticks', 'cmd_vel', *collector.places,
                           'attached', 'cmd_vel_preview', *_TARGETS, 'robot_description'),
                          order=()):
         if isinstance(item, JointChunk):
-            chosen = joints[item.topic].of(item)
-            if chosen is None:
-                continue
-            if item.topic == 'joint_command':
-                stamps = np.round(chosen.stamps * 1e9).astype(np.int64) + bag.origin_ns
-                inputs.commands.update(zip(stamps.tolist(), chosen.velocities))
-            else:
-                _extend(inputs.parts, chosen)
-        elif item.topic == 'ticks':
-            try:
-                inputs.ticks.append((item.arrival, _tick(item, robot)))
-            except StateError as error:
-                bag.left_out.add('ticks', str(error))
-        elif item.topic == 'cmd_vel':
-            twist = sound_twist(item, bag.left_out)
-            if twist is not None:
-                inputs.twists.append((item.arrival, twist))
-        elif item.topic in _TARGETS:
-            try:
-                inputs.targets.append((item.arrival, _target(item, robot, bag.origin_ns)))
-            except StateError as error:
-                bag.left_out.add(item.topic, str(error))
-            inputs.raw.append((item.topic, item.arrival, item.raw))
-        elif item.topic == 'cmd_vel_preview':
-            preview = _preview(item)
-            if preview is not None:
-                inputs.previews.append((item.arrival, _begin(item, bag.origin_ns), preview))
-        else:
-            topic = item.topic
-            if topic in places:
-                inputs.obstacles[places[topic]].append((item.arrival, item.raw))
-                topic = inputs.topics[places[topic]]
-            elif topic == 'attached':
-                inputs.attached.append((item.arrival, item.raw))
-            inputs.raw.append((topic, item.arrival, item.raw))
-    waiting = joints['joint_states'].rest()
-    if waiting is not None:
-        _extend(inputs.parts, waiting)
+            collector.take_joints(item)
+            continue
+        try:
+            collector.take(item)
+        except StateError as error:
+            bag.left_out.add(item.topic, str(error))
+    collector.end()
     if not inputs.parts:
-        joints['joint_states'].check_found()
         raise RecordingError('; '.join((
             f"'{bag.path}' holds no messages on joint_states", *bag.problems)))
     if len(inputs.parts) > 1:
@@ -142,6 +107,80 @@ def read_inputs(bag: Bag, params: Path | None, urdf: str, tip: str) -> Inputs:
             'is commanded there')
     inputs.notes += [printable(problem) for problem in bag.problems]
     return inputs
+
+
+class _Collector:
+    """Sorts the messages of a bag into what a planner was given.
+
+    Attributes:
+        places: topic with obstacles, as the bag calls it → its place in `Inputs.obstacles`.
+    """
+
+    def __init__(self, bag: Bag, inputs: Inputs) -> None:
+        """Begin with nothing.
+
+        Args:
+            bag: open for reading.
+            inputs: takes what is found.
+        """
+        self.places = {topic: i for i, topic in enumerate(bag.call(inputs.topics))}
+        inputs.obstacles = [[] for _ in self.places]
+        self._bag, self._inputs, robot = bag, inputs, inputs.robot
+        self._joints = {
+            topic: ChosenJoints(topic, robot.joint_names, bag.left_out, Seams.of(robot))
+            for topic in ('joint_states', 'joint_command')}
+
+    def take_joints(self, item: JointChunk) -> None:
+        """Take joint states or commands."""
+        inputs, chosen = self._inputs, self._joints[item.topic].of(item)
+        if chosen is None:
+            return
+        if item.topic == 'joint_command':
+            stamps = np.round(chosen.stamps * 1e9).astype(np.int64) + self._bag.origin_ns
+            inputs.commands.update(zip(stamps.tolist(), chosen.velocities))
+        else:
+            _extend(inputs.parts, chosen)
+
+    def take(self, item: Event) -> None:
+        """Take a message of another topic.
+
+        Raises:
+            StateError: it cannot be used.
+        """
+        inputs, origin_ns = self._inputs, self._bag.origin_ns
+        if item.topic == 'ticks':
+            inputs.ticks.append((item.arrival, _tick(item, inputs.robot)))
+        elif item.topic == 'cmd_vel':
+            twist = sound_twist(item, self._bag.left_out)
+            if twist is not None:
+                inputs.twists.append((item.arrival, twist))
+        elif item.topic == 'cmd_vel_preview':
+            preview = _preview(item)
+            if preview is not None:
+                inputs.previews.append((item.arrival, _begin(item, origin_ns), preview))
+        elif item.topic in self.places:
+            place = self.places[item.topic]
+            inputs.obstacles[place].append((item.arrival, item.raw))
+            inputs.raw.append((inputs.topics[place], item.arrival, item.raw))
+        else:
+            inputs.raw.append((item.topic, item.arrival, item.raw))
+            if item.topic == 'attached':
+                inputs.attached.append((item.arrival, item.raw))
+            elif item.topic in _TARGETS:
+                inputs.targets.append((item.arrival, _target(item, inputs.robot, origin_ns)))
+
+    def end(self) -> None:
+        """Take what waited for more joints.
+
+        Raises:
+            JointsMissingError: there are joint states, and none is of this robot.
+        """
+        states = self._joints['joint_states']
+        waiting = states.rest()
+        if waiting is not None:
+            _extend(self._inputs.parts, waiting)
+        if not self._inputs.parts:
+            states.check_found()
 
 
 def _extend(parts: list[tuple[float, float, Array]], chunk: JointChunk) -> None:

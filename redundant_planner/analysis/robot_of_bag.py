@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.bag_reader import Bag, Event
+from redundant_planner.io.likely_tips import likely_tip
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.recorded_configuration import configuration_of
 from redundant_planner.io.resources import resolve
-from redundant_planner.io.robot_files import build_robot, likely_tip, load_robot, robot_of_values
+from redundant_planner.io.robot_files import build_robot, load_robot, robot_of_values
 from redundant_planner.io.software_version import version_of
 
 # Radius of the straight links that stand for shapes that are not known [m].

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 import math
 import struct
@@ -11,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.errors import known, StateError
+from redundant_planner.core.errors import StateError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.chunk import MOST_POINTS
 from redundant_planner.io.cdr import byte_order, ENCAPSULATION, text, words_and_doubles
 from redundant_planner.io.joint_layout import MOST_JOINTS
-from redundant_planner.io.target_reader import poses_of_numbers
+from redundant_planner.io.target_reader import check_names, poses_of_numbers
 
 Array = npt.NDArray[np.float64]
 
@@ -186,11 +185,5 @@ def _names_of(fields: _Fields, robot: Robot) -> Sequence[str]:
     if count > MOST_JOINTS:
         raise StateError(f'it has {count} joint names; up to {MOST_JOINTS} are read')
     names = [fields.name() for _ in range(count)]
-    unknown = [name for name in names if name not in robot.joint_names]
-    if unknown or not names:
-        raise StateError(f'it names {known(unknown) if unknown else "no joint"}; the joints are '
-                         f'{known(robot.joint_names)}')
-    twice = [name for name, times in Counter(names).items() if times > 1]
-    if twice:
-        raise StateError(f'joint names appear twice: {known(twice)}')
+    check_names(names, robot)
     return names

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 import xml.etree.ElementTree as ET
 
@@ -20,6 +20,8 @@ ODOM = 'odom'
 # The output with the base's twist, and the topic that says where it is.
 BASE_CMD_VEL = 'base_cmd_vel'
 _LINKS = ('base_x_link', 'base_y_link')
+# Jerk limits of a base, as a multiple of its acceleration limits [1/s].
+_JERK = 20.0
 
 
 def on_base(urdf: str, parameters: RobotParameters) -> str:
@@ -62,6 +64,27 @@ def on_base(urdf: str, parameters: RobotParameters) -> str:
         ET.SubElement(joint, 'limit', {
             'effort': '0', **{key: repr(float(value)) for key, value in limit.items()}})
     return ET.tostring(tree, encoding='unicode')
+
+
+def limits_with_base(
+    of_arm: Mapping[str, tuple[float, ...]], parameters: RobotParameters, count: int,
+) -> dict[str, tuple[float, ...]]:
+    """Return the limits of all joints by name, and their weights.
+
+    Args:
+        of_arm: name → limits of the arm's joints, see `with_base`: 'velocity_max',
+            'acceleration_max' and 'jerk_max'.
+        parameters: of the base.
+        count: joints, the base's three included.
+    """
+    speed, turning = parameters.base_speed
+    acceleration, turning_acceleration = parameters.base_acceleration
+    accelerations = (acceleration, acceleration, turning_acceleration)
+    of_base = {'velocity_max': (speed, speed, turning), 'acceleration_max': accelerations,
+               'jerk_max': tuple(_JERK * value for value in accelerations)}
+    limits = {name: with_base(values, of_base[name], count) if values else ()
+              for name, values in of_arm.items()}
+    return {**limits, 'weights': with_base((1.0,), (parameters.base_weight,) * 3, count)}
 
 
 def with_base(values: Sequence[float], of_base: Sequence[float], count: int) -> tuple[float, ...]:

@@ -6,33 +6,28 @@ The same parameter file serves the nodes (`--params-file`) and everything offlin
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cached_property
-import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 import warnings
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from redundant_planner.core.cache_folder import cache_folder
 from redundant_planner.core.errors import known, ParameterError, PlannerError, shown
-from redundant_planner.core.parameters import AXES, ros_name, spec_of
+from redundant_planner.core.parameters import AXES
 from redundant_planner.core.robot import model
 from redundant_planner.core.robot.capsules import Capsule
-from redundant_planner.core.robot.simulated_arm import joint_ranges
-from redundant_planner.core.robot.urdf import Joint, read_urdf
 from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import links_without_shape
 from redundant_planner.io.link_shapes import capsule_entry, fitted_capsules, larger_than_the_rest
-from redundant_planner.io.mobile_base import ODOM, on_base, with_base
+from redundant_planner.io.mobile_base import limits_with_base, ODOM, on_base
 from redundant_planner.io.mount import base_of, mounted
 from redundant_planner.io.parameter_files import (
     check_keys,
     entries_of,
-    OTHERS_MEASURED,
     read_robot_parameters,
     RobotParameters,
     settings_of,
@@ -41,13 +36,6 @@ from redundant_planner.io.parameter_files import (
 )
 from redundant_planner.io.resources import panda_urdf, resolve, share_directory
 from redundant_planner.io.xacro_files import urdf_in
-
-# Jerk limits of a base, as a multiple of its acceleration limits [1/s].
-_BASE_JERK = 20.0
-# What forks after this many joints is a hand.
-_ARM_JOINTS = 6
-# Arms of a body with several have as many at least, and no finger is as long [m].
-_SHORTEST_ARM, _LONGEST_FINGER = 5, 0.3
 
 
 class Robot(model.Robot):
@@ -206,39 +194,34 @@ def build_robot(
                              "end effector, or several with 'tips'")
     urdf = on_base(mounted(urdf, p.mount_frame, p.mount_pose), p)
     base_frame = ODOM if p.base else base_of(urdf, p.mount_frame, p.base_frame)
-    given = {'velocity_max': p.velocity_max, 'acceleration_max': p.acceleration_max,
-             'jerk_max': p.jerk_max}
-    limits: dict[str, tuple[float, ...]] = {'velocity_max': (1.0,)} if p.base else given
 
-    def robot_with(shapes: Sequence[Capsule] | None) -> Robot:
+    def robot_with(
+        shapes: Sequence[Capsule] | None, limits: Mapping[str, tuple[float, ...]],
+    ) -> Robot:
         return Robot(
             urdf, p.tip_frame, tips=p.tips, base_frame=base_frame, locked_positions=p.locked,
             axes=p.axes, command_frame=p.command_frame, position_limits=p.position_ranges,
             **{name: values or None for name, values in limits.items()},
             capsules=shapes, link_radius=p.link_radius)
 
+    limits: Mapping[str, tuple[float, ...]] = {
+        'velocity_max': p.velocity_max, 'acceleration_max': p.acceleration_max,
+        'jerk_max': p.jerk_max}
     if p.base:
-        # What is given for the arm's joints is not meant for the base's.
-        count = robot_with([]).n
-        speed, turning = p.base_speed
-        acceleration, turning_acceleration = p.base_acceleration
-        accelerations = (acceleration, acceleration, turning_acceleration)
-        of_base = {'velocity_max': (speed, speed, turning), 'acceleration_max': accelerations,
-                   'jerk_max': tuple(_BASE_JERK * value for value in accelerations)}
-        limits = {name: with_base(values, of_base[name], count) if values else ()
-                  for name, values in given.items()}
-        limits['weights'] = with_base((1.0,), (p.base_weight,) * 3, count)
+        # Without the limits given, as what is meant for the arm's joints is not for the base's.
+        limits = limits_with_base(limits, p, robot_with([], {'velocity_max': (1.0,)}).n)
     if p.capsules:
-        return _looked_at(
-            robot_with([_capsule(name, capsules.get(name, {})) for name in p.capsules]), warn)
+        shapes = [_capsule(name, capsules.get(name, {})) for name in p.capsules]
+        return _looked_at(robot_with(shapes, limits), warn)
     if p.link_shapes == 'straight':
-        return robot_with(None)
-    bare = robot_with([])
+        return robot_with(None, limits)
+    bare = robot_with([], limits)
     if say is not None:
         kept = ('once for all starts to come' if cache_folder() is not None else
                 'at every start: there is no cache folder that nobody else can write to')
         say(f"fitting capsules to the URDF's collision geometry, {kept}")
-    return _looked_at(robot_with(_fitted(bare, urdf_folder(p, folder), p.locked, warn)), warn)
+    shapes = _fitted(bare, urdf_folder(p, folder), p.locked, warn)
+    return _looked_at(robot_with(shapes, limits), warn)
 
 
 def _looked_at(arm: Robot, warn: Callable[[str], object] | None) -> Robot:
@@ -279,27 +262,6 @@ def _fitted(
     return [capsule for fit in fits for capsule in fit.capsules]
 
 
-def joints_to_measure(parameters: RobotParameters, urdf: str) -> tuple[str, ...]:
-    """Return the joints that are locked where they are found; none if that is not wanted.
-
-    Those are the movable joints of the URDF that are neither in the chain nor locked by name.
-
-    Raises:
-        RobotError, ParameterError: as `build_robot`.
-    """
-    if OTHERS_MEASURED not in parameters.locked_joints:
-        return ()
-    chain = build_robot(replace(parameters, capsules=(), link_shapes='straight'), urdf, {})
-    return tuple(name for name in joint_ranges(urdf).names
-                 if name not in chain.joint_names and name not in parameters.locked)
-
-
-def locked_at(parameters: RobotParameters, positions: Mapping[str, float]) -> RobotParameters:
-    """Return the parameters with measured joints locked: name → position [rad, m]."""
-    return replace(parameters, locked_joints=tuple(
-        f'{name}={position!r}' for name, position in {**parameters.locked, **positions}.items()))
-
-
 def load_robot(path: Path, **changes: Any) -> Robot:
     """Return the robot of a ROS parameter file.
 
@@ -337,122 +299,3 @@ def robot_of_values(values: Mapping[str, Any]) -> Robot:
 def _capsule(name: str, entry: Mapping[str, Any]) -> Capsule:
     check_keys(f"capsule '{name}'", entry, ('frame', 'start', 'end', 'radius'))
     return Capsule(name, str(entry['frame']), entry['start'], entry['end'], entry['radius'])
-
-
-def likely_tip(urdf: str) -> str:
-    """Return the link that is probably the end effector.
-
-    It lies at the end of the chain with the most movable joints, or before the hand: where,
-    after six joints or more, several joints hang from one link or a joint mimics another.
-
-    Raises:
-        RobotError: the URDF does not describe a robot.
-    """
-    described = read_urdf(urdf)
-    return _likely_end(described.root, _joints_below(described.joints)).tip
-
-
-def likely_tips(urdf: str) -> tuple[str, ...]:
-    """Return the links that are probably the end effectors of a body with several arms.
-
-    Arms are chains of five joints or more, and longer than fingers, that fork from one link. Of
-    several such links it is the one that is furthest from the root: legs fork before it.
-
-    Returns:
-        One for each arm; none if there are not two.
-
-    Raises:
-        RobotError: the URDF does not describe a robot.
-    """
-    described = read_urdf(urdf)
-    below = _joints_below(described.joints)
-    found: tuple[str, ...] = ()
-    links = [described.root]
-    for link in links:  # grows meanwhile
-        arms = []
-        for joint in below.get(link, ()):
-            links.append(joint.child)
-            arm = _likely_end(joint.child, below, count=int(joint.kind != 'fixed'))
-            if arm.joints >= _SHORTEST_ARM and arm.length > _LONGEST_FINGER:
-                arms.append(arm.tip)
-        found = tuple(arms) if len(arms) > 1 else found
-    return found
-
-
-def _joints_below(joints: Sequence[Joint]) -> dict[str, list[Joint]]:
-    """Return link → the joints that hang from it."""
-    below: dict[str, list[Joint]] = {}
-    for joint in joints:
-        below.setdefault(joint.parent, []).append(joint)
-    return below
-
-
-class _End(NamedTuple):
-    """Where a chain ends.
-
-    Attributes:
-        joints: how many movable ones lead there.
-        tip: the link.
-        length: of the chain, from joint to joint [m].
-    """
-
-    joints: int
-    tip: str
-    length: float
-
-
-def _likely_end(first: str, below: Mapping[str, Sequence[Joint]], count: int = 0) -> _End:
-    """Return where the longest chain from a link ends, before its hand.
-
-    Args:
-        first: the link.
-        below: link → the joints that hang from it.
-        count: of the movable joints before it.
-    """
-    order = [_End(count, first, 0.0)]
-    for link in order:  # grows meanwhile: every link comes after the one that it hangs from
-        for joint in below.get(link.tip, ()):
-            order.append(_End(link.joints + (joint.kind != 'fixed'), joint.child,
-                              link.length + math.hypot(*joint.xyz)))
-    # The end that each link leads to, and how many joints lie before it.
-    ends: dict[str, _End] = {}
-    for link in reversed(order):
-        best, branches = link, below.get(link.tip, ())
-        several = sum(joint.kind != 'fixed' for joint in branches) > 1
-        if link.joints < _ARM_JOINTS or not (
-                several or any(joint.mimic is not None for joint in branches)):
-            for joint in branches:
-                found = ends[joint.child]
-                if joint.mimic is None and (
-                        found.joints > best.joints
-                        or (found.joints == best.joints and joint.kind == 'fixed')):
-                    best = found
-        ends[link.tip] = best
-    return ends[first]
-
-
-def parameter_file_text(
-    parameters: RobotParameters, robot: model.Robot, static: Mapping[str, Mapping[str, Any]],
-    *settings: Any,
-) -> str:
-    """Return a ROS parameter file that needs no other file: the URDF and all capsules are in it.
-
-    Args:
-        parameters: as the robot was built with.
-        robot: the robot.
-        static: entries of the static obstacles.
-        settings: further parameter dataclasses.
-    """
-    values: dict[str, Any] = {}
-    for group in (parameters, *settings):
-        values |= {ros_name(entry): getattr(group, entry.name) for entry in fields(group)
-                   if spec_of(entry).node}
-    values |= {'urdf': '', 'robot_description': robot.urdf,
-               'capsules': [c.name for c in robot.capsules],
-               'capsule': {c.name: capsule_entry(c) for c in robot.capsules},
-               'static_obstacle': {name: dict(entry) for name, entry in static.items()}}
-    values = {key: list(value) if isinstance(value, tuple) else value
-              for key, value in values.items()}
-    # In C where there is such: the planner does this between two ticks.
-    dumper = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
-    return str(yaml.dump({'/**': {'ros__parameters': values}}, Dumper=dumper, sort_keys=False))

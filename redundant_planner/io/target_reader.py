@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 import math
 import struct
 
@@ -82,13 +83,7 @@ def read_joint_target(
     """
     layout = joint_layout(raw)
     names = layout.names
-    unknown = [name for name in names if name not in robot.joint_names]
-    if unknown or not names:
-        raise StateError(f'it names {known(unknown) if unknown else "no joint"}; the joints are '
-                         f'{known(robot.joint_names)}')
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
-        raise StateError(f'joint names appear twice: {known(twice)}')
+    check_names(names, robot)
     missing = [name for name in robot.joint_names if name not in names]
     if missing and rest is None:
         raise StateError(f'joints are missing: {known(missing)}')
@@ -99,3 +94,18 @@ def read_joint_target(
     q[[robot.joint_names.index(name) for name in names]] = values
     seconds, nanoseconds = struct.unpack_from(f'{layout.order}iI', raw, STAMP)
     return seconds + 1e-9 * nanoseconds, np.asarray(checked_target(q, robot))
+
+
+def check_names(names: Sequence[str], robot: Robot) -> None:
+    """Make sure that a message names joints of the arm, each once.
+
+    Raises:
+        StateError: it does not.
+    """
+    unknown = [name for name in names if name not in robot.joint_names]
+    if unknown or not names:
+        raise StateError(f'it names {known(unknown) if unknown else "no joint"}; the joints are '
+                         f'{known(robot.joint_names)}')
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise StateError(f'joint names appear twice: {known(twice)}')

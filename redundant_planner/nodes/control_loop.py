@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import array
-from collections import deque
 from collections.abc import Callable
 from operator import itemgetter
 import time
@@ -12,57 +11,38 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import limits_of
-from redundant_planner.core.errors import ObstacleError, StateError
-from redundant_planner.core.horizon.preview import TwistAhead
+from redundant_planner.core.errors import ObstacleError
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.redundancy.coupling import Coupling
-from redundant_planner.core.robot.se3 import Pose, Poses
-from redundant_planner.core.safety.following import Following
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.safety.jerk import SmoothStop
-from redundant_planner.core.safety.position_command import PositionCommand
-from redundant_planner.core.target.chunk import Chunk
-from redundant_planner.core.target.goal import Target, TipTargets
-from redundant_planner.core.target.moving_target import Sighting
-from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.payload import Payload
-from redundant_planner.io.recorded_tick import RecordedTick, TickKind
+from redundant_planner.io.recorded_tick import TickKind
+from redundant_planner.nodes.arm_watch import ArmWatch
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.command_output import CommandOutput
 from redundant_planner.nodes.command_pacer import CommandPacer
+from redundant_planner.nodes.commanded_positions import CommandedPositions
 from redundant_planner.nodes.guard import Guard, line_of
-from redundant_planner.nodes.joint_messages import JointReader
+from redundant_planner.nodes.joint_input import JointInput
 from redundant_planner.nodes.last_word import LastWord
 from redundant_planner.nodes.loop_clock import LoopClock
-from redundant_planner.nodes.messages import base_states
 from redundant_planner.nodes.obstacle_input import ObstacleInput
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.second_process import ACKNOWLEDGED, PAUSE, STOPS
 from redundant_planner.nodes.state_report import LoopState
-from redundant_planner.nodes.supervisor import (
-    Decision,
-    FRESH_AFTER,
-    MOVED_BY_OTHERS,
-    PAUSED,
-    Supervisor,
-)
+from redundant_planner.nodes.supervisor import Decision, PAUSED, Supervisor
+from redundant_planner.nodes.tick_record import Asked, TickRecord
 from redundant_planner.nodes.tip_commands import TipCommands
-from redundant_planner.nodes.tip_topics import OBJECT
+from redundant_planner.nodes.tip_coupling import TipCoupling
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
 Array = npt.NDArray[np.float64]
 
-_NO_TWIST = np.zeros(6)
-# An arm this slow stands still, as to what its hands begin to hold [rad/s, m/s].
-_STANDS_STILL = 1e-3
 # A measured posture that jumps by more than this beyond what the arm can travel starts everything
 # again from there [rad, m].
 _JUMP = 0.1
-# Measurements whose times are remembered.
-_MEASUREMENTS = 200
-# Less need not be kept clear of obstacles [m].
-_LITTLE = 1e-3
 
 
 class ControlLoop:
@@ -72,14 +52,14 @@ class ControlLoop:
 
     Attributes:
         planner, supervisor: the mathematics, and the arm's permission to move.
-        command, obstacles, attached, output: the inputs and the output.
+        joints, command, obstacles, attached, output: the inputs and the output.
+        coupling: of several tips, as the operator wants it.
         inboxes: subscriptions that each tick fetches, and who takes their messages.
         settings: of the loop; assigning new ones changes its timeouts.
         state: for reports.
         pacer: when ticks and commands are due.
         clock: that it runs by.
         now: when the latest tick began [s].
-        measured_ns: when the latest joint_states were sent, by the system's clock [ns].
     """
 
     def __init__(
@@ -113,22 +93,21 @@ class ControlLoop:
         self.settings = settings
         self.state = LoopState()
         self.now = -np.inf
-        self.measured_ns: deque[int] = deque(maxlen=_MEASUREMENTS)
         self._period = 1.0 / settings.rate
         self.pacer = CommandPacer(self._period)
         self._robot = robot
         self.clock = clock
         self._last_word, self._guard, self._warn = last_word, guard, warn
-        self._publish_tick = publish_tick
-        self._joints = JointReader(robot.joint_names, Seams.of(robot))
-        self._position_command = PositionCommand(limits_of(robot, planner.parameters))
-        self._following = Following(robot.joint_names, self._period, settings.follow_tolerance)
-        # Where an arm stands that does not follow; None if it moves.
-        self._anchor: Array | None = None
-        self._wished_at = -np.inf  # when somebody commanded the arm last
+        self._record = None if publish_tick is None else TickRecord(
+            publish_tick, command, self.obstacles, self.attached)
+        self.coupling = TipCoupling(robot, command)
+        self.joints = JointInput(robot, self.supervisor, lambda: self.now, warn)
+        self._watch = ArmWatch(self.supervisor, robot.joint_names, self._period,
+                               lambda: output.unheard(patience=0.0))
+        self._positions = CommandedPositions(
+            limits_of(robot, planner.parameters), self._period, self._watch)
         self._stop = SmoothStop(robot.acceleration_max, robot.jerk_max, self._period)
         self._last_command: Array | None = None  # velocities; None while the arm rests
-        self._chunk: Chunk | None = None  # the latest one that is on ~/ticks
         self._is_sent = False  # whether this tick's command is out
         self._no_time = ''  # why the loop's clock stands still
 
@@ -146,55 +125,6 @@ class ControlLoop:
     def held(self) -> frozenset[str]:
         """Names of what the hand holds."""
         return self.obstacles.tracker.hidden
-
-    def on_joint_states(self, raw: bytes) -> None:
-        """Take a serialised JointState."""
-        try:
-            which = self._joints.read(raw)
-        except StateError as error:
-            self._warn(f'joint_states ignored: {error}')
-            return
-        if len(which):
-            self.supervisor.measured(self._joints.posture, self.now, which)
-        else:
-            self.supervisor.heard_others(self._joints.others)
-
-    def on_odometry(self, raw: bytes) -> None:
-        """Take a serialised Odometry: the positions of the base's joints."""
-        try:
-            self.on_joint_states(base_states(raw))
-        except StateError as error:
-            self._warn(f'odom ignored: {error}')
-
-    def on_target(self, raw: bytes) -> None:
-        """Take a serialised target_pose."""
-        if self._goes_to_targets('target_pose'):
-            assert isinstance(self.command, CommandInput), 'several tips have their own topics'
-            self.command.on_target(raw)
-
-    def on_joint_target(self, raw: bytes) -> None:
-        """Take a serialised target_joints."""
-        if self._goes_to_targets('target_joints'):
-            self.command.on_joint_target(raw, self._robot, self.supervisor.posture)
-
-    def on_path(self, raw: bytes) -> None:
-        """Take a serialised target_path."""
-        if self._goes_to_targets('target_path'):
-            assert isinstance(self.command, CommandInput), 'several tips have their own topics'
-            self.command.on_path(raw)
-
-    def on_trajectory(self, raw: bytes) -> None:
-        """Take a serialised target_trajectory."""
-        if self._goes_to_targets('target_trajectory'):
-            self.command.on_trajectory(raw, self._robot, self.supervisor.posture)
-
-    def _goes_to_targets(self, topic: str) -> bool:
-        """Return whether the method can; if not, say so."""
-        if isinstance(self.planner, Planner):
-            return True
-        self._warn(f"{topic} ignored: method '{self.planner.parameters.method}' follows twists "
-                   'only')
-        return False
 
     def tick(self) -> bool:
         """Command the arm once; an unforeseen exception brings it to rest.
@@ -214,7 +144,7 @@ class ControlLoop:
         self._is_sent, self._no_time = False, ''
         for sent, topic, take, raw in messages:
             if topic == 'joint_states':
-                self.measured_ns.append(sent)
+                self.joints.sent_ns.append(sent)
             self._guard.call(f'reading {topic}', take, raw)
         try:
             decision = self._move_or_brake()
@@ -273,7 +203,7 @@ class ControlLoop:
             self._warn(decision.warning)
         if decision.hold:
             self._forget_target(decision.hold)
-            if self._coupled and decision.hold == PAUSED and self.velocity.any():
+            if self.coupling.wanted and decision.hold == PAUSED and self.velocity.any():
                 self._move(decision.hold)  # what the hands hold stays whole on the way to rest
             else:
                 self._brake()
@@ -292,7 +222,7 @@ class ControlLoop:
     def _recover(self) -> None:
         """Forget all about the motion: any part of it may have led to the failure."""
         self.planner = planner_of(self.planner.robot, self.planner.parameters)
-        self._position_command.reset()
+        self._positions.reset()
         self.supervisor.follows()
         self.command.forget()
         self.command.forget_preview()
@@ -306,44 +236,36 @@ class ControlLoop:
         dq = self._stop.next()
         self._send(dq, TickKind.BRAKING)
         self.planner.braked(dq, self._period)
-        if not dq.any() and (not self.supervisor.astray or self._anchor is None
-                             or self._position_command.is_at(self._anchor)):
+        if not dq.any() and (not self.supervisor.astray or self._positions.are_back):
             self._last_command = None
             self.command.forget()
             if self.supervisor.astray or self.supervisor.was_moved:
                 # Whoever wakes up takes what comes first for where to be.
-                self._position_command.reset()
+                self._positions.reset()
 
     def _move(self, ignore_command: str) -> None:
         """Take a step of the planner; the command is zero if there is a reason to ignore it."""
         posture, kind = self._posture(), TickKind.GOING_ON
         if self.at_rest:
             kind = TickKind.STARTING
-            self.planner.reset()
-            lag, dead_time = _drive_of(self.planner)
-            self._following.begin(posture, lag + self.output.lag, dead_time)
-            self._position_command.start(posture, self._lead)
-        self._couple(posture)
-        twist, ahead, target = self._no_twist, None, None
+            self._begin(posture)
+        self.coupling.apply(self.planner, posture)
         if ignore_command:
             self._forget_target(ignore_command)
+            asked = Asked(self.coupling.no_twist)
         else:
-            timeout = self.settings.incoming_command_timeout
-            target = self._target(posture)
-            twist = self._twist(timeout, posture)
-            ahead = self.command.ahead(timeout)
+            asked = self._asked(posture)
         self.state.trouble = ignore_command
-        news = self.command.take_news() if target is not None else ()
         gently = self.supervisor.tries and isinstance(self.planner, Planner)
         if gently and kind is TickKind.GOING_ON:
             kind = TickKind.TRYING
         self.obstacles.tracker.expire(self.now)
         result = self.planner.step(
-            posture, twist, self.obstacles.scene, self._period, ahead, target,
-            news=news, gently=kind is TickKind.TRYING)
+            posture, asked.twist, self.obstacles.scene, self._period, asked.ahead, asked.target,
+            news=asked.news, gently=kind is TickKind.TRYING)
         if not np.isfinite(result.dq).all():
             raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
-        self._send(result.dq, kind, twist, ahead, target, news)
+        self._send(result.dq, kind, asked)
         self._stop.moving(result.dq)
         if kind is TickKind.STARTING:
             self._say_what_touches(posture)
@@ -353,157 +275,62 @@ class ControlLoop:
         self.state.result = result
         self.state.jerk_given_up += not result.jerk_kept
 
-    def couple(self, wanted: bool) -> tuple[bool, str]:
-        """Have several tips of an arm that stands still hold one object, or no longer.
+    def _begin(self, posture: Array) -> None:
+        """Begin to move an arm that stands at a posture (n,) [rad, m]."""
+        self.planner.reset()
+        parameters = self.planner.parameters
+        self._watch.begin(
+            posture, parameters.drive_lag + self.output.lag, parameters.drive_dead_time)
+        self._positions.start(posture, self._lead)
 
-        Returns:
-            Whether that can be, and a sentence about it.
-        """
-        robot = self._robot
-        if not isinstance(self.command, TipCommands):
-            return False, f"'{robot.name}' has one tip; to couple takes two (parameter 'tips')"
-        if np.abs(self.velocity).max() > _STANDS_STILL:
-            return False, 'the arm moves; couple and let go while it stands still'
-        if wanted and self.supervisor.posture is None:
-            return False, 'nothing was heard on joint_states yet'
-        if wanted and robot.m < 6 * len(robot.tips):
-            return False, 'to couple takes all six axes of each tip'
-        self.command.forget()
-        self.command.coupled = wanted
-        return True, (f'{" and ".join(robot.tips)} hold one object: move it by {OBJECT}/cmd_vel '
-                      f'and {OBJECT}/target_pose' if wanted else 'each tip moves on its own')
+    def _asked(self, posture: Array) -> Asked:
+        """Return what the operator asks of an arm at a posture (n,) [rad, m]."""
+        command, planner = self.command, self.planner
+        timeout = self.settings.incoming_command_timeout
 
-    @property
-    def object_pose(self) -> Pose | None:
-        """Where what the tips hold is in the base frame; None while they hold nothing."""
-        posture, planner = self.supervisor.posture, self.planner
-        if not isinstance(planner, Planner) or planner.coupling is None or posture is None:
-            return None
-        return planner.coupling.object_pose(self._robot.kinematics(posture).tips.first)
+        def places(due: Poses | None = None) -> Poses:
+            """Return where what the operator moves is, or where it is if its tips are there."""
+            tips = self._robot.kinematics(posture).tips if due is None else due
+            return self.coupling.places(planner, tips)
 
-    @property
-    def _coupled(self) -> bool:
-        return isinstance(self.command, TipCommands) and self.command.coupled
-
-    @property
-    def _no_twist(self) -> Array:
-        """Return a command of none."""
-        tips = len(self._robot.tips)
-        return _NO_TWIST if tips == 1 or self._coupled else np.zeros((tips, 6))
-
-    def _couple(self, posture: Array) -> None:
-        """Couple the tips, or let go, as it is wanted: between two ticks of the planner."""
-        planner = self.planner
-        if not isinstance(planner, Planner) or self._coupled == (planner.coupling is not None):
-            return
-        if self._coupled:
-            planner.couple(q=posture)
-        else:
-            planner.uncouple()
+        target = command.target(places(planner.references)) if command.has_target else None
+        return Asked(command.twist(timeout, places), command.ahead(timeout), target,
+                     command.take_news() if target is not None else ())
 
     def _see_whether_it_follows(self) -> None:
         """Compare what was commanded with what was measured, and see who moves the arm."""
-        supervisor, following = self.supervisor, self._following
-        timeout = self.settings.incoming_command_timeout
-        wishes = self.command.has_target or self.command.moves(timeout)
-        supervisor.heard_a_wish(wishes, self.now, self.at_rest)
-        self._wished_at = self.now if wishes else self._wished_at
-        self.state.astray = supervisor.astray
-        if self._last_command is None:
-            return
-        following.tolerance = self.settings.follow_tolerance
-        reason = following.tick(
-            self._last_command, self._posture(), supervisor.measurement_ages(self.now),
-            tries=supervisor.tries)
-        if reason and (supervisor.tries or not supervisor.astray):
-            unheard = self.output.unheard(patience=0.0)
-            # One that moves is told nothing new: it might go astray on the way to where it is.
-            self._anchor = None if following.moves_alone else self._posture()
-            supervisor.does_not_follow(f'{reason} {unheard}'.rstrip())
-        elif supervisor.tries and following.has_followed:
-            supervisor.follows()
-        if self.now - self._wished_at < FRESH_AFTER:
-            following.rest()
-        elif following.tolerance > 0.0 and following.moved_by_others > MOVED_BY_OTHERS:
-            following.rest()
-            supervisor.moved_by_others()
-        self.state.astray = supervisor.astray
+        wishes = self.command.has_target or self.command.moves(
+            self.settings.incoming_command_timeout)
+        self._watch.look(self.now, self._last_command, wishes=wishes,
+                         tolerance=self.settings.follow_tolerance)
+        self.state.astray = self.supervisor.astray
 
     @property
     def _lead(self) -> float:
         """How far commanded positions may be ahead of a standing arm [rad, m]."""
         return self.settings.follow_tolerance or _JUMP
 
-    def _where_it_may_be(self, dq: Array, kind: TickKind) -> tuple[Array | None, Array | None]:
-        """Return the posture (n,) that commanded positions keep to, and how near (n,) [rad, m].
-
-        An arm that does not follow is where it was found. Otherwise positions may be ahead of
-        the planned posture by what the drives explain, as long as no link gets nearer to an
-        obstacle than it is.
-        """
-        if self.supervisor.astray and not self.supervisor.tries:
-            return self._anchor, None
-        if kind is TickKind.BRAKING or not isinstance(self.planner, Planner):
-            return None, None
-        lead = self._lead + self._following.travel
-        nearest = self.state.result.nearest if self.state.result is not None else None
-        if nearest is not None:
-            reach = float((self.planner.robot.lever_arm_bounds @ lead).max())
-            lead = lead * min(1.0, max(nearest.distance, 0.0) / max(reach, _LITTLE))
-        return self.planner.posture_ahead, lead
-
     def _posture(self) -> Array:
         posture = self.supervisor.posture
         assert posture is not None, 'the arm moves only after a measurement'
         return posture
 
-    def _target(self, posture: Array) -> Target | TipTargets | None:
-        """Return where the arm shall go; None if a twist commands."""
-        if not self.command.has_target:
-            return None
-        due = self.planner.references
-        return self.command.target(self._places(
-            self._robot.kinematics(posture).tips if due is None else due))
-
-    def _twist(self, timeout: float, posture: Array) -> Array:
-        """Return the twist (6,) of the operator's in the planner's command axes, or several."""
-        return self.command.twist(
-            timeout, lambda: self._places(self._robot.kinematics(posture).tips))
-
-    def _places(self, tips: Poses) -> Poses:
-        """Return where the tips are, or what they hold."""
-        if not self._coupled or not isinstance(self.planner, Planner):
-            return tips
-        coupling = self.planner.coupling or Coupling.of(tips)
-        return Poses.of(coupling.object_pose(tips.first))
-
-    def _send(
-        self, dq: Array, kind: TickKind, twist: Array | None = None,
-        ahead: TwistAhead | None = None, target: Target | TipTargets | None = None,
-        news: tuple[Sighting, ...] = (),
-    ) -> None:
+    def _send(self, dq: Array, kind: TickKind, asked: Asked | None = None) -> None:
         """Publish a command (n,) at its moment, and the inputs that led to it."""
-        posture = self._posture()
-        positions = self._position_command.advance(
-            dq, self._period, *self._where_it_may_be(dq, kind))
+        posture, result = self._posture(), self.state.result
+        planner = None if kind is TickKind.BRAKING else self.planner
+        positions = self._positions.next(
+            dq, self._lead, planner if isinstance(planner, Planner) else None,
+            result.nearest if result is not None else None)
         self.pacer.wait()
         stamp_ns = self.clock.stamp_ns()
-        turned = self._joints.turned
+        turned = self.joints.turned
         self._last_word.note(stamp_ns, positions + turned, dq)
         self.output.publish(stamp_ns, positions, dq, turned)
         self._last_command, self._is_sent = dq, True
-        if self._publish_tick is not None:
-            elapsed = self.command.preview_elapsed() if ahead is not None else np.nan
-            obstacles = tuple(zip(self.obstacles.read_counts, self.obstacles.last_read))
-            # A chunk is recorded once, and not in each tick.
-            goes_on = isinstance(target, Chunk) and target is self._chunk
-            if isinstance(target, Chunk):
-                self._chunk, target = target, None if goes_on else target
-            self._publish_tick(RecordedTick(
-                stamp_ns, self.now, kind, obstacles[0][0], self.command.previews, elapsed,
-                self.attached.read_counts[0], self._no_twist if twist is None else twist, posture,
-                target, obstacles,
-                goes_on, news).numbers())
+        if self._record is not None:
+            self._record.write(stamp_ns, self.now, kind, posture,
+                               asked or Asked(self.coupling.no_twist))
 
     def _read_and_prepare(self, moves: bool) -> bool:
         """Read messages on obstacles and attached, if that need not wait; prepare the next tick.
@@ -543,8 +370,3 @@ class ControlLoop:
         if isinstance(self.planner, Planner):
             for contact in self.planner.contacts(posture, self.obstacles.scene):
                 self._warn(str(contact))
-
-
-def _drive_of(planner: Planner | PaperPlanner) -> tuple[float, float]:
-    """Return lag and dead time of the drives, as far as they are known [s]."""
-    return planner.parameters.drive_lag, planner.parameters.drive_dead_time

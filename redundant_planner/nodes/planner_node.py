@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-import math
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
-from nav_msgs.msg import Odometry, Path
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from redundant_planner.core.parameters import PlannerParameters
@@ -40,12 +37,11 @@ from redundant_planner.nodes.command_output import CommandOutput, NEVER_ENDING
 from redundant_planner.nodes.command_pacer import wake_up_in_time
 from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.endable_node import EndableNode
-from redundant_planner.nodes.last_word import LastWord, READY, STARTING
+from redundant_planner.nodes.inboxes import inboxes_of
+from redundant_planner.nodes.last_word import LastWord
 from redundant_planner.nodes.loop_clock import loop_clock
 from redundant_planner.nodes.messages import NANOSECONDS
 from redundant_planner.nodes.obstacle_input import ObstacleInput
-from redundant_planner.nodes.other_publishers import publishers_of, why_nothing_comes
-from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.reports import Reports
 from redundant_planner.nodes.ros_parameters import on_change, STATIC_OBSTACLE
 from redundant_planner.nodes.second_process import Brief
@@ -55,25 +51,18 @@ from redundant_planner.nodes.throttled_log import ThrottledLog
 from redundant_planner.nodes.tick_phase import delay_to_middle
 from redundant_planner.nodes.tip_commands import TipCommands
 from redundant_planner.nodes.tip_topics import OBJECT
+from redundant_planner.nodes.topic_watch import TopicWatch
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
-# Joint states that a tick may find: the newest of several publishers, however often each speaks.
-_JOINT_STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT)
-# Targets that a tick may find: a headset's of half a second.
-_TARGETS = QoSProfile(depth=50)
 # How often the node looks for other publishers on its topics [s].
 _LOOK_AROUND = 0.5
-# How long the arm may take to say where it is before the log says that it waits [s].
-_HEARD_WITHIN = 2.0
 # How long changed parameters wait for others, so that one message has them all [s].
 _CONFIGURATION_PAUSE = 0.25
 # Period of /diagnostics and of ~/markers [s].
 _REPORT_PERIOD = 0.2
 # Period of ~/target while there is a target, and of the pose of what tips hold together [s].
 _PROGRESS_PERIOD = 0.05
-# A subscription that each tick fetches, and who takes its messages.
-Inbox = tuple[PolledSubscription, Callable[[bytes], None]]
 # Period of ~/body while somebody listens [s].
 _BODY_PERIOD = 0.02
 
@@ -96,8 +85,7 @@ class PlannerNode(EndableNode):
         # First, as rclpy's constructor already calls `go_first`.
         self.loop: ControlLoop | None = None
         self._reports: Reports | None = None
-        self._began = math.inf  # when the loop did [s]
-        self._waits_for = ''  # what the log says that it waits for
+        self._topic_watch: TopicWatch | None = None
         self._ticked_ahead = False  # whether a tick has run before the timer asked for it
         super().__init__('planner_node')
         self._last_word = last_word or LastWord.absent('not asked for')
@@ -116,6 +104,7 @@ class PlannerNode(EndableNode):
         self._last_word.brief(self._brief(robot))
         loop = self._make_loop(planner)
         self._connect(loop)
+        self._topic_watch = TopicWatch(self, loop, self._last_word, self._warn)
         self._reports = self._add_chores(loop)
         self._reports.publish_configuration()
         on_change(self, lambda: (self._settings.planner, self._settings.node), self._apply,
@@ -174,18 +163,10 @@ class PlannerNode(EndableNode):
 
     def _connect(self, loop: ControlLoop) -> None:
         """Subscribe to the inputs and offer the services."""
-        # Each tick fetches these: they do not age while other callbacks run. Targets are sent once
-        # and meant to be heard, unlike a stream of twists; or in bursts.
-        loop.inboxes = [
-            (PolledSubscription(self, JointState, 'joint_states', _JOINT_STATES),
-             loop.on_joint_states),
-            (PolledSubscription(self, JointState, 'target_joints', _TARGETS),
-             loop.on_joint_target),
-            (PolledSubscription(self, JointTrajectory, 'target_trajectory', QoSProfile(depth=10)),
-             loop.on_trajectory), *self._tip_inboxes(loop)]
-        if self._settings.robot.base:
-            loop.inboxes.append((PolledSubscription(self, Odometry, 'odom', _JOINT_STATES),
-                                 loop.on_odometry))
+        # Each tick fetches these: they do not age while other callbacks run.
+        loop.inboxes = inboxes_of(
+            self, loop, self._warn, on_base=bool(self._settings.robot.base),
+            stamped=self._settings.node.enable_stamped_cmd_vel)
         if isinstance(loop.command, CommandInput):
             self.create_subscription(
                 MultiDOFJointTrajectory, 'cmd_vel_preview', loop.command.on_preview, 1, raw=True)
@@ -208,33 +189,13 @@ class PlannerNode(EndableNode):
             return response
 
         def on_couple(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-            response.success, response.message = loop.couple(bool(request.data))
+            response.success, response.message = loop.coupling.ask(
+                bool(request.data), loop.velocity, loop.supervisor.posture)
             return response
 
         self.create_service(SetBool, '~/pause', on_pause)
         self.create_service(SetBool, '~/couple', on_couple)
         self.create_service(Trigger, '~/reset', on_reset)
-
-    def _tip_inboxes(self, loop: ControlLoop) -> list[Inbox]:
-        """Subscribe to what moves the tip, or each of several and what they hold."""
-        stamped = self._settings.node.enable_stamped_cmd_vel
-        kind, command = TwistStamped if stamped else Twist, loop.command
-        if isinstance(command, CommandInput):
-            return [
-                (PolledSubscription(self, kind, 'cmd_vel'),
-                 command.on_twist_stamped if stamped else command.on_twist),
-                (PolledSubscription(self, PoseStamped, 'target_pose', _TARGETS), loop.on_target),
-                (PolledSubscription(self, Path, 'target_path', QoSProfile(depth=10)),
-                 loop.on_path)]
-        on_twist = CommandInput.on_twist_stamped if stamped else CommandInput.on_twist
-        inboxes: list[Inbox] = []
-        for tip in (*command.tips, OBJECT):
-            twist, target = f'{tip}/cmd_vel', f'{tip}/target_pose'
-            inboxes += [
-                (PolledSubscription(self, kind, twist), command.on_tip(tip, twist, on_twist)),
-                (PolledSubscription(self, PoseStamped, target, _TARGETS),
-                 command.on_tip(tip, target, CommandInput.on_target))]
-        return inboxes
 
     def _add_chores(self, loop: ControlLoop) -> Reports:
         """Plan the work between ticks; return the reports, which are a part of it."""
@@ -252,7 +213,7 @@ class PlannerNode(EndableNode):
         """Start the loop's timer."""
         settings = self._settings.node
         wake_up_in_time()
-        self.loop, self._began = loop, loop.clock.now()
+        self.loop = loop
         self._timer = self.create_timer(
             1.0 / settings.rate, self._on_timer, clock=loop.clock.timers)
         if loop.clock.simulated:
@@ -327,38 +288,10 @@ class PlannerNode(EndableNode):
 
     def _look_around(self) -> None:
         """See who publishes on this node's topics, who listens, and if its last word is sure."""
-        assert self.loop is not None
+        assert self.loop is not None and self._topic_watch is not None
         if self.loop.at_rest:
             self._move_ticks(self.loop)
-        command = self.loop.command
-        twists = ['cmd_vel'] if isinstance(command, CommandInput) else [
-            f'{tip}/cmd_vel' for tip in (*command.tips, OBJECT)]
-        self.loop.supervisor.found_publishers(
-            publishers_of(self, 'joint_command'),
-            max((publishers_of(self, topic) for topic in twists), key=len))
-        output, state = self.loop.output, self.loop.state
-        state.listeners, before = output.listeners(), state.unheard
-        state.unheard = output.unheard()
-        if state.unheard not in (before, ''):
-            self._warn(state.unheard)
-        self._say_what_is_waited_for(self.loop)
-        before = state.last_word
-        state.last_word = self._last_word.state(
-            sum(state.listeners.get(name, 0) for name in NEVER_ENDING))
-        if state.last_word not in (before, READY, STARTING):
-            self._warn(f'without a last word: {state.last_word}; if this process died in motion, '
-                       'its last command would stand')
-
-    def _say_what_is_waited_for(self, loop: ControlLoop) -> None:
-        """Say what may keep the arm's joint_states away, and again when that has changed."""
-        if loop.supervisor.heard_of_arm or loop.now - self._began < _HEARD_WITHIN:
-            return
-        waits_for = loop.state.hold if loop.supervisor.heard_of_others else (
-            'waiting for joint_states: '
-            + why_nothing_comes(self, 'joint_states', 'sensor_msgs/msg/JointState'))
-        if waits_for != self._waits_for:
-            self.get_logger().warning(waits_for)
-            self._waits_for = waits_for
+        self._topic_watch.look()
 
     def _move_ticks(self, loop: ControlLoop) -> None:
         """Have commands fall half way between measurements, where a controller takes positions.
@@ -370,7 +303,7 @@ class PlannerNode(EndableNode):
             return
         clocks_apart = time.time() - time.monotonic()
         delay = delay_to_middle(
-            [ns / NANOSECONDS - clocks_apart for ns in loop.measured_ns], loop.pacer.due,
+            [ns / NANOSECONDS - clocks_apart for ns in loop.joints.sent_ns], loop.pacer.due,
             1.0 / self._settings.node.rate)
         if delay > 0.0:
             loop.pacer.move(delay)

@@ -97,8 +97,11 @@ class Reports:
 
     def publish_object(self) -> None:
         """Publish where what the tips hold together is, while they do."""
-        pose = None if self._object is None else self._loop.object_pose
-        if self._object is not None and pose is not None:
+        if self._object is None:
+            return
+        loop = self._loop
+        pose = loop.coupling.object_pose(loop.planner, loop.supervisor.posture)
+        if pose is not None:
             message = pose_to_message(pose, self._robot.base_frame)
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._object.publish(message)

@@ -16,7 +16,7 @@ from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.obstacle_bounds import checked
 from redundant_planner.io.obstacle_entries import obstacle_of
 from redundant_planner.io.parameter_files import RobotParameters
-from redundant_planner.io.robot_files import parameter_file_text
+from redundant_planner.io.parameter_writer import parameter_file_text
 from redundant_planner.nodes.ros_parameters import (
     CAPSULE,
     declare,

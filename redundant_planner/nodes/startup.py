@@ -12,8 +12,9 @@ from sensor_msgs.msg import JointState
 
 from redundant_planner.core.errors import known, PlannerError
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.io.measured_joints import joints_to_measure, locked_at
 from redundant_planner.io.parameter_files import RobotParameters, urdf_text
-from redundant_planner.io.robot_files import build_robot, joints_to_measure, locked_at
+from redundant_planner.io.robot_files import build_robot
 from redundant_planner.nodes.description_topic import DescriptionTopic
 from redundant_planner.nodes.endable_node import EndableNode
 from redundant_planner.nodes.ros_parameters import refuse_unknown_parameters

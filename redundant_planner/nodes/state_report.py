@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -11,18 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.quaternions import quaternion_of
-from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.progress import TargetState
+from redundant_planner.nodes.target_text import TARGET, text_of_target
 
 Array = npt.NDArray[np.float64]
 
-# What a target is called on ~/target: of the tip place and quaternion, x y z and x y z w, in the
-# base frame; of the joints name=position for each; of a chunk how much it has, and its end.
-TARGET = 'target'
 # What ~/target says of an arm that does not do what it is told.
 DOES_NOT_FOLLOW = 'does not follow'
 _LEFT = ('distance [m]', 'angle [rad]', 'expected time [s]', 'ends off by [m, rad]',
@@ -89,21 +85,11 @@ def status_of(
         obstacles: their number.
         attached: names of what the hand holds.
     """
-    status = DiagnosticStatus(name=f'{name}: planner', hardware_id=robot.name)
     result = state.result
-    reason = result.reason if result is not None else ''
-    if state.hold:
-        status.level = DiagnosticStatus.ERROR if state.fault else DiagnosticStatus.WARN
-        status.message = state.hold
-    elif error := state.astray or state.blind:
-        status.level, status.message = DiagnosticStatus.ERROR, error
-    elif warning := state.trouble or state.unheard or reason:
-        status.level, status.message = DiagnosticStatus.WARN, warning
-    else:
-        status.level, status.message = DiagnosticStatus.OK, 'planning'
+    level, message = _verdict(state)
     values = {
         'method': method,
-        'limited by': reason,
+        'limited by': result.reason if result is not None else '',
         'obstacles': str(obstacles),
         'attached': ', '.join(sorted(attached)),
         'tick time, median [us]': _number(1e6, np.median, state.tick_times),
@@ -119,29 +105,51 @@ def status_of(
         'age of obstacles [s]': f'{state.obstacle_age:.3f}',
     }
     if result is not None:
-        values |= {
-            'factor k': f'{result.factor:.6g}',
-            'twist scale s': f'{result.scale:.4f}',
-            'stage': result.stage.name,
-            'manipulability': f'{result.manipulability:.6g}',
-            'path error [m]': f'{float(np.linalg.norm(result.path_error[:3])):.6f}',
-            'nearest pair': _pair(result.nearest),
-            # Of the surfaces, as on the page and in reports; the planner counts from its margin.
-            'nearest distance [m]': _metres(result.nearest, margin),
-            'beyond the margin [m]': _metres(result.nearest),
-        }
-    if result is not None:
-        for tip, found in zip(robot.tips, result.tips):
-            values |= {
-                f'twist scale s ({tip})': f'{found.scale:.4f}',
-                f'path error ({tip}) [m]': (
-                    f'{float(np.linalg.norm(found.path_error[:3])):.6f}')}
+        values |= _of_result(result, robot.tips, margin)
     if q is not None:
         room = np.minimum(robot.position_max - q, q - robot.position_min)
         least = int(room.argmin())
         values['smallest limit margin'] = f'{room[least]:.4f} ({robot.joint_names[least]})'
-    status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
-    return status
+    return DiagnosticStatus(
+        level=level, name=f'{name}: planner', message=message, hardware_id=robot.name,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()])
+
+
+def _verdict(state: LoopState) -> tuple[bytes, str]:
+    """Return the level of /diagnostics, and why it is that; the worst counts."""
+    reason = state.result.reason if state.result is not None else ''
+    if state.hold:
+        return DiagnosticStatus.ERROR if state.fault else DiagnosticStatus.WARN, state.hold
+    if error := state.astray or state.blind:
+        return DiagnosticStatus.ERROR, error
+    if warning := state.trouble or state.unheard or reason:
+        return DiagnosticStatus.WARN, warning
+    return DiagnosticStatus.OK, 'planning'
+
+
+def _of_result(result: StepResult, tips: Sequence[str], margin: float) -> dict[str, str]:
+    """Return what /diagnostics says of the last tick.
+
+    Args:
+        result: of the tick.
+        tips: of the robot.
+        margin: that its distances are beyond [m].
+    """
+    values = {
+        'factor k': f'{result.factor:.6g}',
+        'twist scale s': f'{result.scale:.4f}',
+        'stage': result.stage.name,
+        'manipulability': f'{result.manipulability:.6g}',
+        'path error [m]': _length(result.path_error),
+        'nearest pair': _pair(result.nearest),
+        # Of the surfaces, as on the page and in reports; the planner counts from its margin.
+        'nearest distance [m]': _metres(result.nearest, margin),
+        'beyond the margin [m]': _metres(result.nearest),
+    }
+    for tip, found in zip(tips, result.tips):
+        values |= {f'twist scale s ({tip})': f'{found.scale:.4f}',
+                   f'path error ({tip}) [m]': _length(found.path_error)}
+    return values
 
 
 def progress_status(
@@ -162,7 +170,7 @@ def progress_status(
         status.level, status.message = DiagnosticStatus.ERROR, DOES_NOT_FOLLOW
         status.values = [KeyValue(key=key, value=value) for key, value in {
             **dict.fromkeys(_LEFT, 'nan'), 'limited by': astray,
-            TARGET: _target_text(robot, target)}.items()]
+            TARGET: text_of_target(target, robot.joint_names)}.items()]
         return status
     progress = result.progress if result is not None else None
     if result is None or target is None or progress is None:
@@ -177,29 +185,20 @@ def progress_status(
     status.values = [KeyValue(key=key, value=value) for key, value in {
         **dict(zip(_LEFT, left)), **dict(zip(_ALONG, along)),
         'limited by': result.reason,
-        TARGET: _target_text(robot, target),
+        TARGET: text_of_target(target, robot.joint_names),
     }.items()]
     return status
-
-
-def _target_text(robot: Robot, target: Target | TipTargets) -> str:
-    if isinstance(target, Mapping):
-        return '; '.join(f'{tip}: {_target_text(robot, pose)}'
-                         for tip, pose in target.items() if pose is not None)
-    if isinstance(target, Chunk):
-        return (f'{len(target.times)} points within {target.times[-1]:.3f} s, the last one at '
-                f'{_target_text(robot, target.end)}')
-    if isinstance(target, Pose):
-        return ' '.join(f'{number:.6f}' for number in (
-            *target.position, *quaternion_of(target.rotation)))
-    return ' '.join(f'{name}={position:.6f}'
-                    for name, position in zip(robot.joint_names, target))
 
 
 def _number(unit: float, statistic: object, values: Collection[float]) -> str:
     if not values:
         return ''
     return f'{unit * float(statistic(list(values))):.0f}'  # type: ignore[operator]
+
+
+def _length(error: Array) -> str:
+    """Return the length of the translation in an error (6,) [m, rad]."""
+    return f'{float(np.linalg.norm(error[:3])):.6f}'
 
 
 def _pair(nearest: Nearest | None) -> str:

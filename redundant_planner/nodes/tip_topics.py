@@ -33,9 +33,3 @@ def topic_of(tip: str, name: str, tips: Sequence[str]) -> str:
     if tip not in (*tips, OBJECT):
         raise StateError(f"--tip is '{tip}'; {choice}")
     return f'{tip}/{name}'
-
-
-def text_of_tip(text: str, tip: str) -> str:
-    """Return a tip's part of what ~/target says of targets of tips; empty if it has none."""
-    parts = (part.partition(': ') for part in text.split('; '))
-    return next((pose for name, _, pose in parts if name == tip), '')

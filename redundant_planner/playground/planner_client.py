@@ -12,7 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Twist
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -29,7 +28,7 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose
-from redundant_planner.core.target.goal import Target
+from redundant_planner.core.target.goal import Goal
 from redundant_planner.io.joint_turns import Seams
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.parameter_files import settings_of
@@ -44,8 +43,8 @@ from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.messages import twist_from_bytes, twist_to_message
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.pose_messages import pose_of_message, pose_to_message
-from redundant_planner.nodes.state_report import TARGET
-from redundant_planner.nodes.tip_topics import OBJECT, OBJECT_POSE, text_of_tip, topic_of
+from redundant_planner.nodes.target_text import goal_of_text, TARGET, text_of_tip
+from redundant_planner.nodes.tip_topics import OBJECT, OBJECT_POSE, topic_of
 
 Array = npt.NDArray[np.float64]
 
@@ -213,19 +212,11 @@ class PlannerClient:
         return np.zeros(6) if silent else self._twist
 
     @property
-    def commanded_target(self) -> Target | None:
+    def commanded_target(self) -> Goal | None:
         """Where the arm is on its way to; None without a target."""
-        words = self.target.get(TARGET, '').split()
-        try:
-            if self.robot is None or not words:
-                return None
-            if '=' in words[0]:
-                positions = dict(word.rsplit('=', 1) for word in words)
-                return np.array([float(positions[name]) for name in self.robot.joint_names])
-            x, y, z, *turn = map(float, words)
-            return Pose(np.array((x, y, z)), pin.Quaternion(np.array(turn)).toRotationMatrix())
-        except (ValueError, KeyError):
+        if self.robot is None:
             return None
+        return goal_of_text(self.target.get(TARGET, ''), self.robot.joint_names)
 
     def _take_command(self, raw: bytes) -> None:
         motion = self.motion

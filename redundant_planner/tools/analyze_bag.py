@@ -184,6 +184,47 @@ def _show(bar: Progress, task: TaskID, share: float) -> None:
     bar.update(task, completed=share)
 
 
+def _analysed(bag: Path, options: argparse.Namespace) -> Analysis:
+    """Measure a bag, with a progress bar in a terminal."""
+    with Progress(console=Console(stderr=True), transient=True,
+                  disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task(f"reading '{escape(bag.name)}'", total=1.0)
+        return analyse(
+            bag, params=options.params, urdf=options.urdf, tip=options.tip,
+            namespace=options.namespace, begin=options.begin, end=options.end,
+            progress=partial(_show, bar, task))
+
+
+def _print(console: Console, analyses: list[Analysis]) -> None:
+    """Print the measures of all bags, and what tells the others from the first one."""
+    for analysis in analyses:
+        console.print(joint_table(analysis))
+        console.print(peak_table(analysis))
+        if analysis.chunks:
+            console.print(chunk_table(analysis))
+    console.print(motion_table(analyses))
+    for other in analyses[1:]:
+        console.print(comparison_table(analyses[0], other))
+    for analysis in analyses:
+        for note in analysis.notes:
+            console.print(f"'{analysis.name}': {note}", style='yellow', highlight=False)
+
+
+def _write(options: argparse.Namespace, console: Console, analyses: list[Analysis]) -> None:
+    """Write the files that the command line asks for."""
+    if options.json is not None:
+        content: dict[str, Any] = {'bags': [as_json(analysis) for analysis in analyses]}
+        if len(analyses) > 1:
+            content['reductions'] = {
+                other.name: reductions(analyses[0], other) for other in analyses[1:]}
+        options.json.write_text(json.dumps(content, indent=1), encoding='utf-8')
+    if options.csv is not None:
+        write_csv(options.csv, analyses[0])
+    if options.report is not None:
+        from redundant_planner.analysis.report import write_report
+        console.print(f'report: {write_report(options.report, analyses)}')
+
+
 def main(args: list[str] | None = None) -> int:
     """Run analyze_bag; return the process's exit status."""
     parser = argparse.ArgumentParser(prog='analyze_bag', description=__doc__)
@@ -207,37 +248,9 @@ def main(args: list[str] | None = None) -> int:
             raise PlannerError(f"'{options.params}' is not a file")
         if not options.begin < options.end:
             raise PlannerError(f'--begin {options.begin:g} must lie before --end {options.end:g}')
-        analyses = []
-        for bag in options.bags:
-            with Progress(console=Console(stderr=True), transient=True,
-                          disable=not sys.stderr.isatty()) as bar:
-                task = bar.add_task(f"reading '{escape(bag.name)}'", total=1.0)
-                analyses.append(analyse(
-                    bag, params=options.params, urdf=options.urdf, tip=options.tip,
-                    namespace=options.namespace, begin=options.begin, end=options.end,
-                    progress=partial(_show, bar, task)))
-        for analysis in analyses:
-            console.print(joint_table(analysis))
-            console.print(peak_table(analysis))
-            if analysis.chunks:
-                console.print(chunk_table(analysis))
-        console.print(motion_table(analyses))
-        for other in analyses[1:]:
-            console.print(comparison_table(analyses[0], other))
-        for analysis in analyses:
-            for note in analysis.notes:
-                console.print(f"'{analysis.name}': {note}", style='yellow', highlight=False)
-        if options.json is not None:
-            content: dict[str, Any] = {'bags': [as_json(analysis) for analysis in analyses]}
-            if len(analyses) > 1:
-                content['reductions'] = {
-                    other.name: reductions(analyses[0], other) for other in analyses[1:]}
-            options.json.write_text(json.dumps(content, indent=1), encoding='utf-8')
-        if options.csv is not None:
-            write_csv(options.csv, analyses[0])
-        if options.report is not None:
-            from redundant_planner.analysis.report import write_report
-            console.print(f'report: {write_report(options.report, analyses)}')
+        analyses = [_analysed(bag, options) for bag in options.bags]
+        _print(console, analyses)
+        _write(options, console, analyses)
     except (PlannerError, OSError) as error:
         print(f'analyze_bag: {printable(str(error))}', file=sys.stderr)
         return 2

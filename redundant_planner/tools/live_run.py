@@ -8,6 +8,7 @@ from operator import itemgetter
 import os
 from pathlib import Path
 import time
+from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
@@ -101,17 +102,7 @@ def play(
         LiveError: a process failed or the motion did not end in time.
     """
     domain_id = 1 + os.getpid() % 100 if domain_id is None else domain_id
-    values = dict(planner_values or {})
-    arm = {'initial_joints': list(scenario.start),
-           'initial_positions': list(scenario.start.values())}
-    common: dict[str, object] = {'use_sim_time': True} if simulated_time else {}
-    if 'urdf' in values:
-        common['urdf'] = values['urdf']
-    # A sender that is waited for in every period has to speak in every period.
-    pace = {'rate': values.get('rate', PlannerNodeParameters().rate)} if simulated_time else {}
-    if simulated_time:
-        arm |= {'clock': True, 'wait_for_cmd_vel': True, 'answer_timeout': _ANSWER_PATIENCE,
-                'real_time_factor': 1.0}
+    values = _values_of(scenario, planner_values or {}, simulated_time=simulated_time)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     keep_off_shared_memory()
     context = Context()
@@ -124,11 +115,11 @@ def play(
                 node, writer, () if physics is None else (_CONTACTS,), simulated_time)
             hardware = processes.start(
                 'fake_hardware_node' if physics is None else 'mujoco_hardware_node',
-                [scenario.robot_file], {**arm, **common, **pace}, options=physics or ())
+                [scenario.robot_file], values.arm, options=physics or ())
             for name in ('depth_camera', 'cloud_obstacles') if camera_files else ():
-                processes.start(name, [scenario.robot_file, *camera_files], common)
+                processes.start(name, [scenario.robot_file, *camera_files], values.camera)
             planner = processes.start(
-                'planner_node', [scenario.robot_file, *planner_files], {**common, **values})
+                'planner_node', [scenario.robot_file, *planner_files], values.planner)
             _wait_until(lambda: 'joint_command' in recorder.seen, processes, recorder,
                         _START_PATIENCE, 'no joint_command was published')
             if camera_files:
@@ -136,7 +127,7 @@ def play(
                             _START_PATIENCE, 'cloud_obstacles published nothing')
             player = processes.start(
                 'scenario_player',
-                values={'scenario': scenario_file, 'subscribers': 2, **common, **pace},
+                values={'scenario': scenario_file, 'subscribers': 2, **values.player},
                 remap={'obstacles': 'camera_obstacles'} if camera_files else None)
             _wait_until(lambda: 'cmd_vel' in recorder.seen, processes, recorder,
                         _START_PATIENCE, 'no cmd_vel was published')
@@ -152,6 +143,37 @@ def play(
     finally:
         rclpy.shutdown(context=context)
     return LiveRun(bag, share, recorder.physics)
+
+
+class _Values(NamedTuple):
+    """Parameters of each node, besides those of files.
+
+    Attributes:
+        arm, camera, planner, player: name → value; the camera's are for what reads it, too.
+    """
+
+    arm: dict[str, object]
+    camera: dict[str, object]
+    planner: dict[str, object]
+    player: dict[str, object]
+
+
+def _values_of(
+    scenario: Scenario, planner_values: Mapping[str, object], *, simulated_time: bool,
+) -> _Values:
+    """Return the parameters of the nodes that play a scenario; for arguments see `play`."""
+    arm: dict[str, object] = {'initial_joints': list(scenario.start),
+                              'initial_positions': list(scenario.start.values())}
+    common = {'urdf': planner_values['urdf']} if 'urdf' in planner_values else {}
+    pace: dict[str, object] = {}
+    if simulated_time:
+        common['use_sim_time'] = True
+        # A sender that is waited for in every period has to speak in every period.
+        pace['rate'] = planner_values.get('rate', PlannerNodeParameters().rate)
+        arm |= {'clock': True, 'wait_for_cmd_vel': True, 'answer_timeout': _ANSWER_PATIENCE,
+                'real_time_factor': 1.0}
+    return _Values({**arm, **common, **pace}, common, {**common, **planner_values},
+                   {**common, **pace})
 
 
 def _wait_until(

@@ -36,6 +36,7 @@ from redundant_planner.nodes.runtime import (
     spin_once,
 )
 from redundant_planner.tools.show_robot import (
+    add_arm_options,
     Arm,
     arm_of,
     described_by_file,
@@ -57,7 +58,6 @@ _UNNAMED = '_NODE_NAME_UNKNOWN_'
 _LOOK = 0.1
 # Of what a node said last, how much is repeated when it has ended.
 _LAST_LINES = 5
-# Of ROS domains, on Linux.
 
 
 class _Station:
@@ -281,15 +281,7 @@ def main(args: list[str] | None = None) -> int:
     """Run quick_start; return the process's exit status: 0 if Ctrl-C ended a running arm."""
     parser = argparse.ArgumentParser(prog='quick_start', description=__doc__)
     parser.add_argument('urdf', help='path, file:// or package:// location of the URDF')
-    parser.add_argument('--xacro-args', nargs='+', default=[], metavar='NAME:=VALUE',
-                        help='for a URDF that ends with .xacro, which is expanded to a file '
-                             'beside the parameter file')
-    parser.add_argument('--tip', default='',
-                        help='link that is the end effector; the end of the longest chain, '
-                             'before its hand, if not given')
-    parser.add_argument('--tips', default=[], nargs='+', metavar='TIP',
-                        help='such links of a body with several arms, instead of --tip')
-    parser.add_argument('--base', default='', help='base link; the root if not given')
+    add_arm_options(parser, 'parameter file')
     parser.add_argument('--out', type=Path, default=Path(),
                         help='folder for the parameter file and the picture, which have the '
                              "URDF's name (default: the current one)")

@@ -28,6 +28,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.urdf import read_urdf
 from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import collision_pieces
+from redundant_planner.io.likely_tips import likely_tip, likely_tips
 from redundant_planner.io.limit_report import limit_lines, narrower_soft_limits
 from redundant_planner.io.link_shapes import capsule_entry, Fit, fitted_capsules
 from redundant_planner.io.node_parameters import FakeHardwareParameters
@@ -40,7 +41,7 @@ from redundant_planner.io.parameter_files import (
     urdf_text,
 )
 from redundant_planner.io.resources import resolve
-from redundant_planner.io.robot_files import build_robot, likely_tip, likely_tips
+from redundant_planner.io.robot_files import build_robot
 from redundant_planner.io.xacro_files import expanded, urdf_in
 
 Array = npt.NDArray[np.float64]
@@ -266,21 +267,31 @@ def draw(path: Path, arm: Arm, say: Callable[[str], object]) -> None:
         raise PlannerError(f"the picture '{path}' cannot be made: {error}") from None
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run show_robot; return the process's exit status."""
-    parser = argparse.ArgumentParser(prog='show_robot', description=__doc__)
-    parser.add_argument('--urdf', default='',
-                        help='path, file:// or package:// location of the URDF')
+def add_arm_options(parser: argparse.ArgumentParser, beside: str) -> None:
+    """Add the options that say which arm of a URDF is meant.
+
+    Args:
+        parser: of the command.
+        beside: the file that an expanded xacro file is put beside, for the help.
+    """
     parser.add_argument('--xacro-args', nargs='+', default=[], metavar='NAME:=VALUE',
                         help='for a URDF that ends with .xacro, which is expanded to a file '
-                             'beside the picture')
-    parser.add_argument('--params', type=Path, help='parameter file of the robot instead')
+                             f'beside the {beside}')
     parser.add_argument('--tip', default='',
                         help='link that is the end effector; the end of the longest chain, '
                              'before its hand, if not given')
     parser.add_argument('--tips', default=[], nargs='+', metavar='TIP',
                         help='such links of a body with several arms, instead of --tip')
     parser.add_argument('--base', default='', help='base link; the root if not given')
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run show_robot; return the process's exit status."""
+    parser = argparse.ArgumentParser(prog='show_robot', description=__doc__)
+    parser.add_argument('--urdf', default='',
+                        help='path, file:// or package:// location of the URDF')
+    parser.add_argument('--params', type=Path, help='parameter file of the robot instead')
+    add_arm_options(parser, 'picture')
     parser.add_argument('--posture', type=float, nargs='+', metavar='Q',
                         help='joint positions to draw and to start at; those of the file given, '
                              'or else a proposal, if not given')

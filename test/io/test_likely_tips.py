@@ -7,7 +7,8 @@ import pytest
 import yaml
 
 from redundant_planner.io.hand_openings import openings_of
-from redundant_planner.io.robot_files import likely_tips, Robot
+from redundant_planner.io.likely_tips import likely_tips
+from redundant_planner.io.robot_files import Robot
 from redundant_planner.tools.show_robot import main as show_robot
 
 TIAGO = EXAMPLE_ROBOTS / 'tiago_description' / 'robots' / 'tiago_dual.urdf'

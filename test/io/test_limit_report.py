@@ -11,13 +11,8 @@ import yaml
 
 from redundant_planner.core.errors import ParameterError, RobotError
 from redundant_planner.io.parameter_files import RobotParameters
-from redundant_planner.io.robot_files import (
-    build_robot,
-    load_robot,
-    parameter_file_text,
-    Robot,
-    robot_of_values,
-)
+from redundant_planner.io.parameter_writer import parameter_file_text
+from redundant_planner.io.robot_files import build_robot, load_robot, Robot, robot_of_values
 from redundant_planner.tools.quick_start import prepared
 from redundant_planner.tools.show_robot import main as show_robot
 

@@ -24,6 +24,7 @@ from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io import link_shapes
 from redundant_planner.io.collision_geometry import collision_elements, collision_pieces
 from redundant_planner.io.hand_openings import openings_of
+from redundant_planner.io.likely_tips import likely_tip
 from redundant_planner.io.link_shapes import fitted_capsules
 from redundant_planner.io.link_surfaces import link_surfaces
 from redundant_planner.io.node_parameters import FakeHardwareParameters
@@ -36,7 +37,7 @@ from redundant_planner.io.parameter_files import (
 )
 from redundant_planner.io.physics_parameters import MujocoHardwareParameters
 from redundant_planner.io.resources import resolve
-from redundant_planner.io.robot_files import build_robot, likely_tip, load_robot
+from redundant_planner.io.robot_files import build_robot, load_robot
 from redundant_planner.tools.show_robot import main as show_robot
 
 ARMS = {

@@ -25,7 +25,8 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.parameter_files import settings_of
-from redundant_planner.tools.replay_bag import again, differences, main as replay_bag
+from redundant_planner.tools.replay_bag import main as replay_bag
+from redundant_planner.tools.replayed_ticks import again, differences
 
 pytestmark = LIVE
 

@@ -29,7 +29,7 @@ from redundant_planner.io.recording import read_recording
 from redundant_planner.io.scenario import load_scenario
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.tools.live_run import play
-from redundant_planner.tools.replay_bag import again, differences
+from redundant_planner.tools.replayed_ticks import again, differences
 
 pytestmark = LIVE
 FILES = [ROBOTS / 'panda.yaml', ROBOTS.parent / 'perception' / 'panda.yaml']

@@ -22,7 +22,7 @@ from redundant_planner.analysis.replay_inputs import read_inputs
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.parameter_files import settings_of
-from redundant_planner.tools.replay_bag import again, differences
+from redundant_planner.tools.replayed_ticks import again, differences
 
 pytestmark = LIVE
 

@@ -29,7 +29,7 @@ from redundant_planner.core.robot.turns import TURN
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.joint_turns import wrapped
 from redundant_planner.io.parameter_files import settings_of
-from redundant_planner.tools.replay_bag import again, differences
+from redundant_planner.tools.replayed_ticks import again, differences
 
 pytestmark = LIVE
 

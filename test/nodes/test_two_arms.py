@@ -20,7 +20,8 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.io.bag_reader import open_bag
 from redundant_planner.io.parameter_files import settings_of
 from redundant_planner.io.robot_files import robot_of_values
-from redundant_planner.tools.replay_bag import again, differences, main as replay_bag
+from redundant_planner.tools.replay_bag import main as replay_bag
+from redundant_planner.tools.replayed_ticks import again, differences
 
 pytestmark = LIVE
 

@@ -23,8 +23,8 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.parameter_files import read_robot_parameters
+from redundant_planner.io.parameter_writer import parameter_file_text
 from redundant_planner.io.resources import share_directory
-from redundant_planner.io.robot_files import parameter_file_text
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.nodes.runtime import best_executor
 from redundant_planner.playground.planner_client import PlannerClient

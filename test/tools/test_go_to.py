@@ -21,7 +21,9 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.nodes.messages import markers_of
 from redundant_planner.nodes.supervisor import PAUSED_ALREADY
-from redundant_planner.tools.go_to import explained, joint_target_of, main as go_to, target_of
+from redundant_planner.tools.asked_goal import joint_target_of, target_of
+from redundant_planner.tools.go_to import main as go_to
+from redundant_planner.tools.target_advice import explained
 
 TIP = Pose(np.array([0.1, 0.2, 0.3]), np.asarray(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 2)))
 
@@ -209,7 +211,7 @@ def test_ctrl_c_twice_stops_the_arm_and_leaves_no_pause():
                 process.send_signal(signal.SIGINT)
                 ros.spin(0.005)
             status, _, err = end(ros, process)
-            assert status == 130 and err.strip() == 'go_to: stopped'
+            assert status == 130 and err.strip() == 'go_to: stopped', (status, err)
             ros.wait_for(ros.at_rest, 'rest')
         assert ros.call(SetBool, 'pause', SetBool.Request(data=True)).message != PAUSED_ALREADY
 

@@ -25,7 +25,8 @@ from redundant_planner.io.parameter_files import RobotParameters, settings_of
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.io.recording import read_recording
 from redundant_planner.nodes.messages import markers_of
-from redundant_planner.tools.replay_bag import again, differences, main as replay_bag, otherwise
+from redundant_planner.tools.replay_bag import main as replay_bag
+from redundant_planner.tools.replayed_ticks import again, differences, otherwise
 
 
 @pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])

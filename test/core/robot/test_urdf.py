@@ -12,7 +12,7 @@ from redundant_planner.core.errors import RobotError
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.simulated_arm import joint_ranges
 from redundant_planner.core.robot.urdf import read_urdf
-from redundant_planner.io.robot_files import likely_tip
+from redundant_planner.io.likely_tips import likely_tip
 
 JOINT1 = '<joint name="joint1" type="revolute">'
 LIMIT1 = '<limit lower="-2.5" upper="2.5" velocity="2" effort="1"/>'

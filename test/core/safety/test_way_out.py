@@ -18,7 +18,7 @@ from redundant_planner.core.safety import way_out as module
 from redundant_planner.core.safety.way_out import LastWayOut, way_out
 from redundant_planner.core.target.progress import TargetState
 from redundant_planner.simulation import simulate
-from redundant_planner.tools.go_to import target_of
+from redundant_planner.tools.asked_goal import target_of
 
 DEFAULTS = PlannerParameters()
 MARGIN = DEFAULTS.singularity_margin
