@@ -22,11 +22,13 @@ from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses, poses_er
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.stages import Filtered, Request
 from redundant_planner.core.step_result import TipResult
+from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.goal import (
     checked_target,
     checked_targets,
-    poses_of_tips,
+    goals_of_tips,
     Target,
+    TipGoals,
     TipTargets,
 )
 from redundant_planner.core.target.moving_target import checked_news, Sighting
@@ -73,7 +75,8 @@ class Commands:
         self._robot = robot
         self._controlled = robot.full_twist(np.ones(robot.m))
         self._share_of_tips = robot.rows // 6 if len(robot.tips) > 1 else None
-        self._given: tuple[TipTargets, Poses] | None = None
+        self._given: tuple[TipTargets, TipGoals] | None = None
+        self._of_object: tuple[Chunk, Chunk] | None = None  # and of the tip that leads
 
     def couple(self, tips: Poses | None, held: Pose | None) -> None:
         """Have tips hold an object together; see `Planner.couple`.
@@ -119,7 +122,7 @@ class Commands:
             twist, self._controlled if coupling is None else self._controlled[:6], *speeds)
         if coupling is not None:
             if target is not None:
-                target = coupling.tips(self._of_first(coupling, target)[robot.tips[0]])
+                target = self._goals_of_object(coupling, target)
             news = [Sighting(self._of_first(coupling, seen.target), seen.age) for seen in news]
         elif isinstance(target, Mapping):
             if self._given is None or self._given[0] is not target:
@@ -144,8 +147,8 @@ class Commands:
             return asked._replace(target=self._of_tips(asked.of_tips, due, asked.twist))
         return asked
 
-    def _of_tips(self, target: TipTargets, due: Poses, command: Array) -> Poses:
-        """Return the poses that tips shall go to; the others stay where they are due.
+    def _of_tips(self, target: TipTargets, due: Poses, command: Array) -> TipGoals:
+        """Return where tips shall go; the others stay where they are due.
 
         A tip that a twist moves is due somewhere else in each tick; its target takes the twist
         out of the command (6 t,).
@@ -154,17 +157,32 @@ class Commands:
         command.reshape(-1, 6)[aimed] = 0.0
         before = self._given
         if before is None or before[0] is not target or command.any():
-            kept = due if before is None or before[0] is not target else before[1]
+            kept = due if before is None or before[0] is not target else before[1].poses
             others = Poses.of(*(
                 now if part.any() else pose for now, pose, part in zip(
                     due.each, kept.each, command.reshape(-1, 6))))
-            before = self._given = target, poses_of_tips(target, self._robot, others)
+            before = self._given = target, goals_of_tips(target, self._robot, others)
         return before[1]
+
+    def _goals_of_object(
+        self, coupling: Coupling, target: Target | TipTargets,
+    ) -> TipGoals:
+        """Return where coupled tips shall go, by a pose of their object or a chunk of such."""
+        if not isinstance(target, Chunk) or not target.of_poses:
+            first = self._of_first(coupling, target)[self._robot.tips[0]]
+            return TipGoals(coupling.tips(first), (None,))
+        if self._of_object is None or self._of_object[0] is not target:
+            poses = [coupling.first_at(pose) for pose in target.points if isinstance(pose, Pose)]
+            self._of_object = target, Chunk(target.times, poses, late=target.late)
+        chunk = self._of_object[1]
+        assert isinstance(chunk.end, Pose)
+        return TipGoals(coupling.tips(chunk.end), (chunk,))
 
     def _of_first(self, coupling: Coupling, target: Target | TipTargets) -> dict[str, Pose]:
         """Return the pose of the tip that leads where the object is at a target."""
         if not isinstance(target, Pose):
-            raise StateError('the tips are coupled: the target has to be a pose of their object')
+            raise StateError('the tips are coupled: the target has to be a pose of their object, '
+                             'or a chunk of poses')
         return {self._robot.tips[0]: coupling.first_at(checked_pose(target))}
 
     def led(self, poses: Poses) -> Poses:

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses
+from redundant_planner.core.robot.se3 import checked_pose, Pose
 from redundant_planner.core.target.chunk import Chunk
-from redundant_planner.core.target.goal import Goal, Target, TipTargets
+from redundant_planner.core.target.goal import Goal, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
 
 Array = npt.NDArray[np.float64]
@@ -24,6 +24,9 @@ _POSE = 12
 # they are.
 _CHUNK_END = 4
 _POSITIONS, _VELOCITIES, _POSES = range(3)
+# Of several tips, one with a chunk has NaN in place of its pose but for its second number: whether
+# that is the chunk of the tick before. The others' numbers come before the poses.
+_NEW, _SAME, _CODE_AT = 0.0, 1.0, 1
 # What is added where targets came before the tick: they come after the target, each with the age
 # of its stamp (NaN for none), and then their count. Older rows have none.
 _WITH_NEWS, _KINDS = 5, 10
@@ -34,14 +37,16 @@ class RecordedTarget(NamedTuple):
 
     Attributes:
         target: that commands the arm in place of the twist; None for none, or where `goes_on`. Of
-            an arm with several tips each is in it, in their order, with its pose or None.
+            an arm with several tips each is in it, in their order, with its pose, chunk or None.
         goes_on: whether the latest chunk that was a target is the target still.
         news: see `Planner.step`.
+        tips_go_on: tips of which the latest chunk is the target still; `target` has None for them.
     """
 
-    target: Target | TipTargets | None = None
+    target: Goal | Chunk | TipTargets | None = None
     goes_on: bool = False
     news: tuple[Sighting, ...] = ()
+    tips_go_on: tuple[str, ...] = ()
 
     def numbers(self) -> tuple[int, Array]:
         """Return what is added to the row's kind, and its numbers."""
@@ -50,14 +55,31 @@ class RecordedTarget(NamedTuple):
             return _WITH_CHUNK, _numbers_of_chunk(target)
         if target is None:
             return _WITH_SAME_CHUNK * self.goes_on, np.empty(0)
-        assert not isinstance(target, Poses), 'tips are recorded by name'
         kind = _WITH_JOINTS if isinstance(target, np.ndarray) else _WITH_POSE
+        numbers = (self._numbers_of_tips(target) if isinstance(target, Mapping) else
+                   _numbers(target))
         if not self.news:
-            return kind, _numbers(target)
+            return kind, numbers
         tips = tuple(target) if isinstance(target, Mapping) else ()
-        return kind + _WITH_NEWS, np.concatenate((_numbers(target), *(
-            (*_numbers(_of_all(seen, tips)), np.nan if age is None else age)
-            for seen, age in self.news), (len(self.news),)))
+        parts = [numbers]
+        for seen, age in self.news:
+            parts += [_numbers(_of_all(seen, tips)), np.array([np.nan if age is None else age])]
+        return kind + _WITH_NEWS, np.concatenate((*parts, (len(self.news),)))
+
+    def _numbers_of_tips(self, target: TipTargets) -> Array:
+        """Return targets of tips as numbers, chunks before poses."""
+        chunks, poses = [], []
+        for tip, at in target.items():
+            place = np.full(_POSE, np.nan)
+            if isinstance(at, Pose):
+                place = _numbers(at)
+            elif isinstance(at, Chunk):
+                chunks.append(_numbers_of_chunk(at))
+                place[_CODE_AT] = _NEW
+            elif tip in self.tips_go_on:
+                place[_CODE_AT] = _SAME
+            poses.append(place)
+        return np.concatenate((*chunks, *poses))
 
 
 def parted(
@@ -79,7 +101,7 @@ def parted(
     width = {_WITH_POSE: _POSE * max(len(tips), 1), _WITH_JOINTS: n}.get(what, 0)
 
     def read(numbers: Array) -> Goal | TipTargets:
-        return (_tip_targets(numbers, tips) if tips and what == _WITH_POSE else
+        return (_tip_poses(numbers, tips) if tips and what == _WITH_POSE else
                 _target(numbers, pose=what == _WITH_POSE))
 
     if width and kind % _KINDS >= _WITH_NEWS:
@@ -91,6 +113,9 @@ def parted(
     if len(row) < width:
         raise StateError(f'a recorded tick has {row.size} numbers, and {width} of a target')
     row, end = np.split(row, [len(row) - width])
+    if tips and what == _WITH_POSE:
+        row, aimed = _tip_targets(row, end, tips)
+        return row, kind - what, aimed._replace(news=news)
     target = read(end) if width else None
     return row, kind - what, RecordedTarget(target, what == _WITH_SAME_CHUNK, news)
 
@@ -98,7 +123,7 @@ def parted(
 def _numbers(target: Goal | TipTargets) -> Array:
     if isinstance(target, Mapping):
         return np.concatenate([
-            np.full(_POSE, np.nan) if pose is None else _numbers(pose)
+            _numbers(pose) if isinstance(pose, Pose) else np.full(_POSE, np.nan)
             for pose in target.values()])
     if isinstance(target, Pose):
         return np.concatenate((target.position, target.rotation.ravel()))
@@ -110,11 +135,33 @@ def _of_all(target: Goal | TipTargets, tips: Sequence[str]) -> Goal | TipTargets
     return {tip: target.get(tip) for tip in tips} if isinstance(target, Mapping) else target
 
 
-def _tip_targets(numbers: Array, tips: Sequence[str]) -> TipTargets:
-    """Return the targets of several tips of their numbers; StateError if they are none."""
-    return {tip: None if np.isnan(pose).all() else checked_pose(
+def _tip_poses(numbers: Array, tips: Sequence[str]) -> dict[str, Pose | Chunk | None]:
+    """Return the poses of several tips of their numbers; StateError if they are none."""
+    return {tip: None if np.isnan(np.delete(pose, _CODE_AT)).all() else checked_pose(
                 Pose(pose[:3], pose[3:].reshape(3, 3)))
             for tip, pose in zip(tips, numbers.reshape(len(tips), _POSE))}
+
+
+def _tip_targets(
+    row: Array, places: Array, tips: Sequence[str],
+) -> tuple[Array, RecordedTarget]:
+    """Return a row without the chunks of tips at its end, and the targets of all tips.
+
+    Args:
+        row: without the tips' poses.
+        places: these.
+        tips: all of them.
+
+    Raises:
+        StateError: there are no such targets.
+    """
+    targets = _tip_poses(places, tips)
+    codes = places.reshape(len(tips), _POSE)[:, _CODE_AT]
+    for tip, code in reversed(tuple(zip(tips, codes))):
+        if targets[tip] is None and code == _NEW:
+            row, targets[tip] = _chunk_parted(row)
+    return row, RecordedTarget(targets, tips_go_on=tuple(
+        tip for tip, code in zip(tips, codes) if targets[tip] is None and code == _SAME))
 
 
 def _target(numbers: Array, *, pose: bool) -> Pose | Array:

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
-from redundant_planner.core.target.goal import Target, TipTargets
+from redundant_planner.core.target.chunk import Chunk
+from redundant_planner.core.target.goal import Goal, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.io.recorded_target import parted, RecordedTarget
 
@@ -57,6 +58,7 @@ class RecordedTick(NamedTuple):
             `checksum` of the latest one: a recorder may come later than the planner, or earlier.
         goes_on: whether the latest chunk that was a target is the target still.
         news: see `Planner.step`.
+        tips_go_on: tips of which the latest chunk is the target still, see `RecordedTarget`.
     """
 
     stamp_ns: int
@@ -68,14 +70,16 @@ class RecordedTick(NamedTuple):
     attached_messages: int
     twist: Array
     q: Array
-    target: Target | TipTargets | None = None
+    target: Goal | Chunk | TipTargets | None = None
     checked_messages: tuple[tuple[int, int], ...] = ()
     goes_on: bool = False
     news: tuple[Sighting, ...] = ()
+    tips_go_on: tuple[str, ...] = ()
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
-        more, target = RecordedTarget(self.target, self.goes_on, self.news).numbers()
+        more, target = RecordedTarget(
+            self.target, self.goes_on, self.news, self.tips_go_on).numbers()
         kind = self.kind + _WITH_ATTACHED + more + _WITH_TOPIC * len(self.checked_messages)
         return array.array('d', np.concatenate((
             (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
@@ -135,7 +139,7 @@ class RecordedTick(NamedTuple):
                    row[_HEAD:_HEAD + twist].reshape((-1, 6) if tips else 6),
                    row[_HEAD + twist:], aimed.target,
                    tuple((int(count), int(check)) for count, check in more.reshape(-1, 2)),
-                   aimed.goes_on, aimed.news)
+                   aimed.goes_on, aimed.news, aimed.tips_go_on)
 
 
 def _parted(

@@ -86,10 +86,12 @@ def _tip_inboxes(node: Node, command: TipCommands, *, stamped: bool) -> list[Inb
     on_twist = CommandInput.on_twist_stamped if stamped else CommandInput.on_twist
     inboxes: list[Inbox] = []
     for tip in (*command.tips, OBJECT):
-        twist, target = f'{tip}/cmd_vel', f'{tip}/target_pose'
+        twist, target, path = f'{tip}/cmd_vel', f'{tip}/target_pose', f'{tip}/target_path'
         inboxes += [
             (PolledSubscription(node, TwistStamped if stamped else Twist, twist),
              command.on_tip(tip, twist, on_twist)),
             (PolledSubscription(node, PoseStamped, target, _TARGETS),
-             command.on_tip(tip, target, CommandInput.on_target))]
+             command.on_tip(tip, target, CommandInput.on_target)),
+            (PolledSubscription(node, Path, path, _CHUNKS),
+             command.on_tip(tip, path, CommandInput.on_path))]
     return inboxes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -180,8 +180,9 @@ def progress_status(
     status.message = progress.state.value
     left = (f'{progress.distance:.6f}', f'{progress.angle:.6f}', f'{progress.seconds:.3f}',
             f'{progress.miss:.4f}', f'{progress.joint:.6f}')
-    along = (f'{progress.behind:.3f}', f'{progress.beside:.6f}') if isinstance(
-        target, Chunk) else ()
+    chunked = isinstance(target, Chunk) or (isinstance(target, Mapping) and any(
+        isinstance(at, Chunk) for at in target.values()))
+    along = (f'{progress.behind:.3f}', f'{progress.beside:.6f}') if chunked else ()
     status.values = [KeyValue(key=key, value=value) for key, value in {
         **dict(zip(_LEFT, left)), **dict(zip(_ALONG, along)),
         'limited by': result.reason,

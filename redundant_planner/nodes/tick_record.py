@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.horizon.preview import TwistAhead
-from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
+from redundant_planner.io.latest_chunks import LatestChunks
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.obstacle_input import ObstacleInput
@@ -52,7 +52,7 @@ class TickRecord:
         """
         self._publish = publish
         self._command, self._obstacles, self._attached = command, obstacles, attached
-        self._chunk: Chunk | None = None  # the latest one that was recorded
+        self._chunks = LatestChunks()
 
     def write(self, stamp_ns: int, now: float, kind: TickKind, q: Array, asked: Asked) -> None:
         """Record a tick; for all of it see `RecordedTick`.
@@ -64,14 +64,10 @@ class TickRecord:
             q: (n,) measured posture [rad, m].
             asked: what was asked of it.
         """
-        command, target = self._command, asked.target
+        command, target = self._command, self._chunks.to_record(asked.target)
         elapsed = command.preview_elapsed() if asked.ahead is not None else np.nan
         obstacles = tuple(zip(self._obstacles.read_counts, self._obstacles.last_read))
-        # A chunk is recorded once, and not in each tick.
-        goes_on = isinstance(target, Chunk) and target is self._chunk
-        if isinstance(target, Chunk):
-            self._chunk, target = target, None if goes_on else target
         self._publish(RecordedTick(
             stamp_ns, now, kind, obstacles[0][0], command.previews, elapsed,
-            self._attached.read_counts[0], asked.twist, q, target, obstacles, goes_on,
-            asked.news).numbers())
+            self._attached.read_counts[0], asked.twist, q, target.target, obstacles,
+            target.goes_on, asked.news, target.tips_go_on).numbers())

@@ -16,12 +16,13 @@ from redundant_planner.core.horizon.preview import TwistAhead
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.safety.jerk import SmoothStop
-from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.io.bag_storage import RecordingError
+from redundant_planner.io.latest_chunks import LatestChunks
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.payload import Payload
 from redundant_planner.io.recorded_configuration import recorded_obstacles, recorded_walls
 from redundant_planner.io.recorded_inputs import as_it_is
+from redundant_planner.io.recorded_target import RecordedTarget
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.paper.method import PaperPlanner, planner_of
 
@@ -146,7 +147,7 @@ class _Planned:
         self._applied, self._held = [0] * len(inputs.obstacles), 0
         self._counts: list[int] = []  # as the tick before had counted them
         self._previous: float | None = None  # time of the tick before [s]
-        self._chunk: Chunk | None = None  # the latest one
+        self._chunks = LatestChunks()
 
     def hear(self, tick: RecordedTick) -> None:
         """Take in what came after the tick before, with that tick's time."""
@@ -194,8 +195,8 @@ class _Planned:
             planner.reset()
         self._obstacles.expire(tick.time)
         _couple(planner, tick)
-        target = self._chunk if tick.goes_on else tick.target
-        self._chunk = target if isinstance(target, Chunk) else self._chunk
+        target = self._chunks.recorded(
+            RecordedTarget(tick.target, tick.goes_on, tick.news, tick.tips_go_on))
         dq: Array = planner.step(
             q, tick.twist, self._obstacles.scene, self._dt, _ahead(self._inputs, tick), target,
             news=tick.news, gently=tick.kind == TickKind.TRYING).dq

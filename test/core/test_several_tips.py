@@ -15,8 +15,10 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.core.redundancy.coupling import Coupling
 from redundant_planner.core.robot.se3 import integrate, Pose, pose_error, poses_error
 from redundant_planner.core.safety.stage import Stage
+from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.core.target.progress import TargetState
+from redundant_planner.core.target.smooth_curve import SmoothCurve
 
 BODY = make_two_handed()
 DT = 0.004
@@ -237,12 +239,86 @@ def test_joint_targets_are_for_the_whole_body():
     (twists(), Pose(np.zeros(3), np.eye(3)), 'say of which tip'),
     (twists(), {'claw': Pose(np.zeros(3), np.eye(3))}, "there are targets for 'claw'"),
     (twists(), {'left_hand': Pose(np.full(3, np.nan), np.eye(3))}, 'three finite'),
+    (twists(), Chunk([1.0], [Pose(np.zeros(3), np.eye(3))]), 'one chunk; say of which tip'),
+    (twists(), {'left_hand': Chunk([1.0], [START])}, 'give it for the whole body'),
 ])
 def test_bad_commands_are_refused_and_nothing_is_lost(twist, target, message):
     planner = Planner(BODY)
     with pytest.raises(StateError, match=message):
         planner.step(START, twist, [], DT, target=target)
     assert planner.step(START, twists((0.1,)), [], DT).dq.any()
+
+
+def along(pose, twist, seconds=2.0, points=21):
+    """A chunk that begins and ends at rest, and the pose that it ends at."""
+    times = np.linspace(0.0, seconds, points)
+    shares = 0.5 - 0.5 * np.cos(np.pi * times / seconds)
+    poses = [integrate(pose, np.array(twist), share, False) for share in shares]
+    return Chunk(times, poses), poses[-1]
+
+
+LEFT_WAY, RIGHT_WAY = (0.1, 0.05, -0.08, 0.0, 0.3, 0.0), (0.05, -0.1, 0.08, 0.2, 0.0, 0.0)
+
+
+def ride(planner, target, command, seconds=2.6, things=()):
+    """Let hands go along chunks; return the postures, and the last result."""
+    postures = [START]
+    for _ in range(round(seconds / DT)):
+        result = planner.step(postures[-1], command, things, DT, target=target)
+        postures.append(postures[-1] + DT * result.dq)
+    return np.array(postures), result
+
+
+def test_each_tip_follows_a_chunk_of_its_own():
+    left, right = BODY.kinematics(START).tips.each
+    chunks = {HANDS[0]: along(left, LEFT_WAY), HANDS[1]: along(right, RIGHT_WAY, 1.5)}
+    postures, result = ride(
+        Planner(BODY), {tip: chunk for tip, (chunk, _) in chunks.items()}, twists())
+    assert result.progress.state is TargetState.REACHED and result.progress.behind < 0.1
+    for tip, (_, end) in zip(BODY.kinematics(postures[-1]).tips.each, chunks.values()):
+        assert np.abs(pose_error(end, tip, False)).max() < 1e-3
+    # Each is where its own chunk has it.
+    for t, (chunk, _) in enumerate(chunks.values()):
+        curve = SmoothCurve(chunk.times, np.array([pose.position for pose in chunk.points]))
+        due = curve.at(np.array([0.7])).position[0]
+        tip = BODY.kinematics(postures[round(0.7 / DT)]).tip_positions[t]
+        assert np.abs(tip - due).max() < 3e-3
+
+
+def test_a_chunk_of_one_hand_goes_on_while_a_twist_moves_the_other():
+    left, right = BODY.kinematics(START).tips.each
+    chunk, end = along(left, LEFT_WAY)
+    postures, result = ride(
+        Planner(BODY), {HANDS[0]: chunk}, twists((), (0.0, 0.0, -0.03)))
+    there = BODY.kinematics(postures[-1]).tips.each
+    assert np.abs(pose_error(end, there[0], False)).max() < 1e-3
+    moved = there[1].position - right.position
+    assert abs(moved[2] + 0.03 * 2.6) < 3e-3 and np.abs(moved[:2]).max() < 1e-3
+    assert result.progress.state is TargetState.REACHED
+
+
+def test_what_is_in_the_way_of_one_chunk_does_not_delay_the_other():
+    left, right = BODY.kinematics(START).tips.each
+    targets = {HANDS[0]: along(left, (0.3, 0.0, 0.0, 0.0, 0.0, 0.0))[0],
+               HANDS[1]: along(right, RIGHT_WAY)[0]}
+    wall = Obstacle.box('wall', left.position + (0.2, 0.0, 0.0), (0.02, 0.3, 0.3))
+    postures, result = ride(Planner(BODY), targets, twists(), 4.0, [wall])
+    tips = BODY.kinematics(postures[-1]).tips.each
+    assert tips[0].position[0] < left.position[0] + 0.19
+    assert np.abs(pose_error(targets[HANDS[1]].end, tips[1], False)).max() < 1e-3
+    assert result.progress.state is TargetState.BLOCKED and result.progress.behind > 0.5
+
+
+def test_an_object_follows_a_chunk():
+    planner = coupled()
+    held = planner.coupling.object_pose(planner.reference)
+    chunk, end = along(held, (0.08, 0.05, 0.1, 0.0, 0.2, 0.1))
+    postures, result = ride(planner, chunk, np.zeros(6))
+    assert result.progress.state is TargetState.REACHED
+    there = planner.coupling.object_pose(BODY.kinematics(postures[-1]).tips.first)
+    assert np.abs(pose_error(end, there, False)).max() < 1e-3
+    before = relative(BODY, START)
+    assert max(np.abs(relative(BODY, q) - before).max() for q in postures[::5]) < 2e-4
 
 
 def coupled(q=START, **options):

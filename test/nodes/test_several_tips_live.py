@@ -8,6 +8,7 @@ from conftest import HANDS, make_two_handed, two_handed_urdf
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Twist
 from live_helpers import LIVE, station
+from nav_msgs.msg import Path
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -45,6 +46,8 @@ def ros():
                       for tip in (*HANDS, 'object')}
         ros.targets = {tip: node.create_publisher(PoseStamped, f'{tip}/target_pose', 10)
                        for tip in (*HANDS, 'object')}
+        ros.paths = {tip: node.create_publisher(Path, f'{tip}/target_path', 10)
+                     for tip in (*HANDS, 'object')}
         ros.progress, ros.said = [], []
         node.create_subscription(
             DiagnosticArray, 'planner_node/target', lambda m: ros.progress.extend(m.status),
@@ -58,7 +61,8 @@ def ros():
         processes.start('planner_node', [], {
             **VALUES, 'publish_ticks': True, 'drive.dead_time': 0.006})
         ros.wait_for(lambda: ros.commands and all(
-            p.get_subscription_count() for p in (*ros.twists.values(), *ros.targets.values())),
+            p.get_subscription_count() for p in
+                (*ros.twists.values(), *ros.targets.values(), *ros.paths.values())),
             'start')
         yield ros
 
@@ -89,13 +93,28 @@ def hands(ros):
     return BODY.kinematics(ros.state(NAMES)).tips.each
 
 
-def send(ros, tip, position, rotation):
+def stamped(position, rotation, seconds=0.0):
     message = PoseStamped()
     p, o = message.pose.position, message.pose.orientation
     p.x, p.y, p.z = np.asarray(position, dtype=float).tolist()
     o.x, o.y, o.z, o.w = pin.Quaternion(np.asarray(rotation)).coeffs().tolist()
+    message.header.stamp.sec = int(seconds)
+    message.header.stamp.nanosec = round(1e9 * (seconds % 1.0))
+    return message
+
+
+def send(ros, tip, position, rotation):
     ros.progress.clear()
-    ros.targets[tip].publish(message)
+    ros.targets[tip].publish(stamped(position, rotation))
+
+
+def send_path(ros, tip, position, rotation, end, seconds=1.5):
+    """Send a chunk of poses from one place to another."""
+    ros.progress.clear()
+    shares = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 16))
+    ros.paths[tip].publish(Path(poses=[
+        stamped(position + share * (np.asarray(end) - position), rotation, 0.1 + seconds * i / 15)
+        for i, share in enumerate(shares)]))
 
 
 def reached(ros):
@@ -124,6 +143,14 @@ def test_two_hands_by_topics_and_again_from_the_bag(ros, tmp_path):
     for pose, position in zip(hands(ros), goals.values()):
         assert np.linalg.norm(pose.position - position) < 2e-3
 
+    # A chunk for each hand, and back.
+    for ends in ([at + (0.0, 0.0, 0.04) for at in goals.values()], list(goals.values())):
+        for (tip, pose), end in zip(zip(HANDS, hands(ros)), ends):
+            send_path(ros, tip, pose.position, pose.rotation, end)
+        ros.wait_for(lambda: reached(ros), 'both hands at the ends of their chunks')
+        for pose, end in zip(hands(ros), ends):
+            assert np.linalg.norm(pose.position - end) < 2e-3
+
     # Coupled: their relative pose stays, and each alone is not obeyed.
     ros.wait_for(ros.at_rest, 'rest')
     answer = ros.call(SetBool, 'couple', SetBool.Request(data=True))
@@ -150,6 +177,9 @@ def test_two_hands_by_topics_and_again_from_the_bag(ros, tmp_path):
     middle = np.mean([pose.position for pose in hands(ros)], axis=0)
     send(ros, 'object', middle + (0.0, 0.0, -0.03), np.eye(3))
     ros.wait_for(lambda: reached(ros), 'the object at its target')
+    assert np.abs(relative(hands(ros)) - held).max() < 3e-4
+    send_path(ros, 'object', middle + (0.0, 0.0, -0.03), np.eye(3), middle)
+    ros.wait_for(lambda: reached(ros), 'the object at the end of its chunk')
     assert np.abs(relative(hands(ros)) - held).max() < 3e-4
     ros.wait_for(ros.at_rest, 'rest')
     assert ros.call(SetBool, 'couple', SetBool.Request(data=False)).success

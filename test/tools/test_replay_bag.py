@@ -20,8 +20,10 @@ from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.io.bag_reader import open_bag
+from redundant_planner.io.latest_chunks import LatestChunks
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.parameter_files import RobotParameters, settings_of
+from redundant_planner.io.recorded_target import RecordedTarget
 from redundant_planner.io.recorded_tick import RecordedTick, TickKind
 from redundant_planner.io.recording import read_recording
 from redundant_planner.nodes.messages import markers_of
@@ -261,6 +263,41 @@ def test_every_kind_of_target_survives_the_way_there_and_back(target, topics, ag
         spoiled[-1] = np.nan
         with pytest.raises(StateError):
             RecordedTick.of(spoiled, 7)
+
+
+POSE = Pose(np.array([0.1, 0.2, 0.3]), np.diag([1.0, -1.0, -1.0]))
+CHUNKS = [Chunk(np.arange(1.0, count + 1.0), [POSE] * count, late=0.25) for count in (1, 3)]
+
+
+@pytest.mark.parametrize('targets', [
+    (POSE, None), (CHUNKS[0], None), (POSE, CHUNKS[1]), CHUNKS, (None, CHUNKS[1])])
+@pytest.mark.parametrize('ages', [(), (0.2, None)])
+def test_targets_of_tips_survive_the_way_there_and_back(targets, ages):
+    written, read = LatestChunks(), LatestChunks()
+    given, found = dict(zip(('left', 'right'), targets)), []
+    news = tuple(Sighting({'left': POSE}, age) for age in ages) if POSE in targets[:1] else ()
+    for _ in range(2):
+        aimed = written.to_record(given)
+        tick = RecordedTick(10, 1.0, TickKind.GOING_ON, 0, 0, np.nan, 0, np.zeros((2, 6)),
+                            np.ones(7), aimed.target, ((3, 4),), news=news,
+                            tips_go_on=aimed.tips_go_on)
+        back = RecordedTick.of(tick.numbers(), 7, ('left', 'right'))
+        assert [seen.age for seen in back.news] == [seen.age for seen in news]
+        found.append((len(tick.numbers()), read.recorded(
+            RecordedTarget(back.target, back.goes_on, back.news, back.tips_go_on))))
+    (size, first), (again_size, second) = found
+    # Each chunk is written once, and what has not changed stays the same object.
+    chunked = any(isinstance(target, Chunk) for target in targets)
+    assert (again_size < size) == chunked and (first is second) == (not news)
+    for tip, target in given.items():
+        if isinstance(target, Chunk):
+            assert first[tip] is second[tip] and first[tip].late == target.late
+            np.testing.assert_array_equal(first[tip].times, target.times)
+            assert all(map(np.array_equal, first[tip].end, target.end))
+        elif target is None:
+            assert first[tip] is None and second[tip] is None
+        else:
+            assert all(map(np.array_equal, second[tip], target))
 
 
 def test_a_recorded_tick_survives_the_way_there_and_back_and_nonsense_is_refused():

@@ -26,7 +26,7 @@ from redundant_planner.core.target.free_way import JointMotion
 from redundant_planner.core.target.joint_chunk_way import JointChunkWay
 from redundant_planner.core.target.progress import Progress, REACHED, TargetState
 from redundant_planner.core.target.smooth_curve import Motion
-from redundant_planner.core.target.tip_chunk_way import TipChunkWay
+from redundant_planner.core.target.tip_chunk_way import TipChunkWay, Which
 
 Array = npt.NDArray[np.float64]
 
@@ -49,6 +49,7 @@ class ChunkFollower:
 
     def __init__(
         self, robot: Robot, limits: Limits, joints: PathJoints, full_speed: Array, gain: float,
+        which: Which,
     ) -> None:
         """Prepare for an arm.
 
@@ -58,10 +59,12 @@ class ChunkFollower:
             joints: how they are weighed and bounded.
             full_speed: highest linear and angular speed of the tip [m/s, rad/s].
             gain: of the feedback to a way of the joints [1/s].
+            which: tip follows chunks of poses.
         """
         self._robot, self._limits, self._joints = robot, limits, joints
         self._full_speed, self._gain = full_speed, gain
-        self._controlled = robot.full_twist(np.ones(robot.m))
+        self._which, self._tip = which, which.tip
+        self._controlled = robot.full_twist(np.ones(robot.m))[6 * self._tip:6 * self._tip + 6]
         self.reset()
 
     def reset(self) -> None:
@@ -97,7 +100,7 @@ class ChunkFollower:
             followed: (6,) the tip's twist in the last tick as far as followed, in command axes.
             delay: of the commands behind what is planned [s].
         """
-        twist = self._in_base_axes(followed, start.reference_of(0))
+        twist = self._in_base_axes(followed, start.reference_of(self._tip))
         now, before = (start.previous, twist), self._before
         self._before = now
         bends = [np.zeros(len(part)) if before is None else (part - earlier) / start.dt
@@ -118,13 +121,13 @@ class ChunkFollower:
 
     def twist(self, start: Start) -> tuple[Array, PreviewAhead | None]:
         """Return the twist (6,) for a tick in command axes, and those ahead; after `joints`."""
-        way, reference = self._way, start.reference_of(0)
+        way, reference = self._way, start.reference_of(self._tip)
         assert isinstance(way, TipChunkWay), 'the joints follow a chunk of their own'
         here, there = (Pose(*pose) for pose in zip(*way.along(
             np.array((self._s, self._s + self._wanted * start.dt)))))
         off = se3.pose_error(here, reference, False)
-        self._off = float(np.abs(self._robot.task_rows(
-            se3.pose_error(here, reference, self._robot.in_tool))).max())
+        self._off = float(np.abs(self._controlled * se3.pose_error(
+            here, reference, self._robot.in_tool)).max())
         back = np.zeros(6)
         if self._off > _AT_REST:
             back = np.clip(off / _CLOSING_TIME, -_FEEDBACK_SPEED, _FEEDBACK_SPEED)
@@ -149,7 +152,7 @@ class ChunkFollower:
         """Return how far the arm has come, from where it is."""
         way, end = self._way, chunk.end
         assert way is not None and self._followed is not None
-        tip = Pose(arm.tip_position, arm.tip_rotation)
+        tip = arm.tips.each[self._tip]
         joint = 0.0
         if isinstance(end, Pose):
             goal = end
@@ -157,10 +160,8 @@ class ChunkFollower:
             end = nearest_turn(np.clip(end, self._limits.positions[1], self._limits.positions[0]),
                                arm.q, self._robot.position_max)
             there = self._robot.kinematics(end)
-            goal, joint = Pose(there.tip_position, there.tip_rotation), float(
-                np.abs(end - arm.q).max())
-        away = self._robot.full_twist(self._robot.task_rows(
-            se3.pose_error(goal, tip, self._robot.in_tool)))
+            goal, joint = there.tips.each[self._tip], float(np.abs(end - arm.q).max())
+        away = self._controlled * se3.pose_error(goal, tip, self._robot.in_tool)
         distance, angle = math.sqrt(away[:3] @ away[:3]), math.sqrt(away[3:] @ away[3:])
         there_now = max(distance, angle) if isinstance(end, Pose) else joint
         state = TargetState.MOVING
@@ -207,7 +208,7 @@ class ChunkFollower:
             self._age += start.dt
             if self._age >= _REFRESH and not self._is_over:
                 self._age = 0.0
-                self._way.look(self._s, start.arm.q)
+                self._way.look(self._s, start)
 
     def _begin(
         self, start: Start, chunk: Chunk, begin: float, bends: list[Array], twist: Array,
@@ -217,8 +218,8 @@ class ChunkFollower:
         bend = np.clip(bends[0], -limits.acceleration_max, limits.acceleration_max)
         if chunk.of_poses:
             self._way = TipChunkWay(
-                robot, limits, self._joints, self._full_speed, chunk, begin, start.arm,
-                start.reference_of(0), Motion(np.zeros(6), twist, bends[1]))
+                robot, limits, self._joints, self._full_speed, chunk, begin, start,
+                Motion(np.zeros(6), twist, bends[1]), self._which)
         else:
             self._way = JointChunkWay(
                 robot, limits, self._full_speed, chunk, begin,

@@ -10,6 +10,7 @@ from redundant_planner.core.redundancy.reference import followed_poses
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose, Poses
+from redundant_planner.core.target.goal import TipGoals
 
 Array = npt.NDArray[np.float64]
 
@@ -43,11 +44,12 @@ class ComingBack:
         return self._home is not None
 
     @property
-    def target(self) -> Pose | Poses | None:
+    def target(self) -> Pose | TipGoals | None:
         """Where a free way shall lead; None where the tip gets back by itself, or is there."""
         if self._home is None or not self._goes:
             return None
-        return self._home if len(self._robot.tips) > 1 else self._home.first
+        tips = len(self._robot.tips)
+        return TipGoals(self._home, (None,) * tips) if tips > 1 else self._home.first
 
     def note(
         self, reference: Poses, tips: Poses, followed: Array, dt: float, *, leaving: bool,

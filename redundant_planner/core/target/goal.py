@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +15,26 @@ from redundant_planner.core.target.chunk import Chunk
 
 Array = npt.NDArray[np.float64]
 
-# Tip → its pose in the base frame; None for one that has no target.
-TipTargets = Mapping[str, Pose | None]
+# Tip → its pose in the base frame, or a chunk of such; None for one that has no target.
+TipTargets = Mapping[str, Pose | Chunk | None]
 # A pose in the base frame, or joint positions (n,) [rad, m].
 Goal = Pose | Array
-# A goal, or one of several tips, or the way to a goal with its times.
-Target = Goal | Poses | Chunk
+
+
+class TipGoals(NamedTuple):
+    """Where all tips of an arm shall go.
+
+    Attributes:
+        poses: of those without a chunk; where the others begin.
+        chunks: of each tip; None for one without.
+    """
+
+    poses: Poses
+    chunks: tuple[Chunk | None, ...]
+
+
+# A goal, or those of several tips, or the way to a goal with its times.
+Target = Goal | TipGoals | Chunk
 # A chunk may go beyond the limits by this, as measured positions do; it is followed up to them
 # [rad, m].
 _BEYOND = 1e-3
@@ -35,8 +50,10 @@ def checked_target(target: Target, robot: Robot) -> Target:
     if isinstance(target, Chunk):
         if not target.of_poses:
             _check_range(target, robot)
+        elif len(robot.tips) > 1:
+            raise StateError(f'the target is one chunk; say of which tip: {known(robot.tips)}')
         return target
-    if isinstance(target, Poses):
+    if isinstance(target, TipGoals):
         raise StateError('several poses are given; say of which tip each is')
     return checked_goal(target, robot)
 
@@ -74,18 +91,22 @@ def checked_targets(targets: TipTargets, robot: Robot) -> None:
     """Check where tips shall go.
 
     Raises:
-        StateError: there is no such tip, or a pose is none.
+        StateError: there is no such tip, a pose is none, or a chunk is of joint positions.
     """
     unknown = [tip for tip in targets if tip not in robot.tips]
     if unknown or not targets:
         raise StateError(f'there are targets for {known(unknown) if unknown else "no tip"}; '
                          f"the tips of '{robot.name}' are {known(robot.tips)}")
-    for pose in targets.values():
-        if pose is not None:
-            checked_pose(pose)
+    for tip, target in targets.items():
+        if isinstance(target, Chunk):
+            if not target.of_poses:
+                raise StateError(f"the chunk of '{tip}' is of joint positions; give it for the "
+                                 'whole body, without a tip')
+        elif target is not None:
+            checked_pose(target)
 
 
-def poses_of_tips(targets: TipTargets, robot: Robot, others: Poses) -> Poses:
+def goals_of_tips(targets: TipTargets, robot: Robot, others: Poses) -> TipGoals:
     """Return where each tip of a robot shall go.
 
     Args:
@@ -93,6 +114,8 @@ def poses_of_tips(targets: TipTargets, robot: Robot, others: Poses) -> Poses:
         robot: the robot.
         others: where the tips without one shall be.
     """
-    given = (targets.get(tip) for tip in robot.tips)
-    return Poses.of(*(other if pose is None else checked_pose(pose)
-                      for pose, other in zip(given, others.each)))
+    given = [targets.get(tip) for tip in robot.tips]
+    return TipGoals(
+        Poses.of(*(checked_pose(goal) if isinstance(goal, Pose) else other
+                   for goal, other in zip(given, others.each))),
+        tuple(goal if isinstance(goal, Chunk) else None for goal in given))

@@ -13,8 +13,8 @@ from redundant_planner.core.errors import known, shown, StateError
 from redundant_planner.core.obstacles.scene import rotations
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
-from redundant_planner.core.robot.se3 import checked_pose, Pose, Poses
-from redundant_planner.core.target.goal import checked_goal, Goal, Target, TipTargets
+from redundant_planner.core.robot.se3 import checked_pose, Pose
+from redundant_planner.core.target.goal import checked_goal, Goal, Target, TipGoals, TipTargets
 from redundant_planner.core.target.smoother import Estimate, Sample, Smoother
 
 Array = npt.NDArray[np.float64]
@@ -63,7 +63,7 @@ def checked_news(
                 raise StateError(f'news has targets for {known(unknown)}; the tips of '
                                  f"'{robot.name}' are {known(robot.tips)}")
             checked = {tip: checked_pose(pose) for tip, pose in given.items()
-                       if pose is not None}
+                       if isinstance(pose, Pose)}
         else:
             checked = checked_goal(given, robot)
         if _kind_of(checked) is not _kind_of(target):
@@ -76,8 +76,8 @@ def checked_news(
 
 
 def _kind_of(target: Target | TipTargets | None) -> type:
-    """Return the type of a target: poses for those of several tips."""
-    return Poses if isinstance(target, Mapping) else type(target)
+    """Return the type of a target, the same for all of several tips."""
+    return TipGoals if isinstance(target, Mapping) else type(target)
 
 
 class MovingTarget:

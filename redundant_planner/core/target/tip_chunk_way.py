@@ -7,6 +7,7 @@ turns, as long as successive poses are less than half a turn apart.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +15,9 @@ import numpy.typing as npt
 from redundant_planner.core.horizon.least_norm_path import least_norm_path, PathJoints
 from redundant_planner.core.horizon.preview import Preview
 from redundant_planner.core.obstacles.scene import rotations
+from redundant_planner.core.redundancy.coupling import Coupling
+from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot import se3
-from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.robot.se3 import Pose, Poses
@@ -38,6 +40,35 @@ _SPACING, _FEWEST, _MOST = 0.03, 12, 48
 _DAMPING = 1e-3
 
 
+class Which(NamedTuple):
+    """Which tip follows a way, and what the others do meanwhile.
+
+    Attributes:
+        tip: its number.
+        coupling: that moves the others along; None where they stay.
+    """
+
+    tip: int = 0
+    coupling: Coupling | None = None
+
+    def of_all(self, poses: Poses, others: Poses) -> Poses:
+        """Return the poses of t tips (N t) where this one has poses (N).
+
+        Args:
+            poses: of this tip.
+            others: where the tips are due; of them those that stay count.
+        """
+        if len(others.position) == 1:
+            return poses
+        found: list[Pose] = []
+        for pose in poses.each:
+            if self.coupling is not None:
+                found += self.coupling.tips(pose).each
+            else:
+                found += [pose if t == self.tip else at for t, at in enumerate(others.each)]
+        return Poses.of(*found)
+
+
 class TipChunkWay:
     """One chunk's way, begun where the tip was.
 
@@ -51,7 +82,7 @@ class TipChunkWay:
 
     def __init__(
         self, robot: Robot, limits: Limits, joints: PathJoints, full_speed: Array, chunk: Chunk,
-        begin: float, arm: Kinematics, tip: Pose, twist: Motion,
+        begin: float, start: Start, twist: Motion, which: Which,
     ) -> None:
         """Find the way.
 
@@ -62,13 +93,14 @@ class TipChunkWay:
             full_speed: highest linear and angular speed of the tip [m/s, rad/s].
             chunk: of poses.
             begin: where on it [s].
-            arm: where the arm is.
-            tip: where the tip should be.
+            start: where the arm is, and its tips should be.
             twist: how the tip moves (6,) in base axes; its position does not count.
+            which: tip.
         """
+        arm, tip = start.arm, start.reference_of(which.tip)
         assert isinstance(chunk.points, tuple), 'of poses'
         self._robot, self._limits, self._joints = robot, limits, joints
-        self._full_speed = full_speed
+        self._full_speed, self._which = full_speed, which
         self._curve = SmoothCurve(chunk.times, _coordinates(chunk.points))
         self.begin = min(begin, self._curve.end)
         now, at = self._curve_motion(np.array([self.begin])), self.pose_of_chunk(self.begin)
@@ -76,8 +108,12 @@ class TipChunkWay:
         turn = tip.rotation @ at.rotation.T
         ours = Motion(np.zeros(6), *(
             np.concatenate((part[0, :3], turn @ part[0, 3:])) for part in (now.rate, now.bend)))
-        controlled = robot.full_twist(np.ones(robot.m)) > 0.0
-        jacobian = arm.tip_jacobian[controlled] if not robot.in_tool else arm.tip_jacobian
+        of_tip = slice(6 * which.tip, 6 * which.tip + 6)
+        controlled = robot.full_twist(np.ones(robot.m))[of_tip] > 0.0
+        self._controlled = controlled
+        jacobian = arm.tip_jacobian[of_tip]
+        if not robot.in_tool:
+            jacobian = jacobian[controlled]
         inverse = np.zeros((robot.n, 6))
         inverse[:, controlled if not robot.in_tool else slice(None)] = np.linalg.solve(
             jacobian @ jacobian.T + _DAMPING * np.eye(len(jacobian)), jacobian).T
@@ -93,19 +129,20 @@ class TipChunkWay:
         self.end = max(self._curve.end, self.begin + self._fading.duration)
         self._ahead = max(_AHEAD, _STOPS * float(
             (limits.velocity_max / limits.acceleration_max).max()))
-        self.look(self.begin, arm.q)
+        self.look(self.begin, start)
         self.share = min(share, math.sqrt(self.pace.squared[0]))
 
-    def look(self, s: float, q: Array) -> None:
-        """Look ahead from a time of the chunk [s], and a posture (n,)."""
+    def look(self, s: float, start: Start) -> None:
+        """Look ahead from a time of the chunk [s], and the start of a tick."""
         until = min(self.end, s + self._ahead)
         count = int(np.clip((until - s) / _SPACING, _FEWEST, _MOST))
         step = max((until - s) / count, _SPACING / _MOST)
         poses = self.along(np.linspace(s, s + step * count, count + 1))
         # The first step is from where the arm is beside its way.
         first = [0, 0, *range(count + 1)]
-        nodes = least_norm_path(self._robot, q, Poses(
-            poses.position[first], poses.rotation[first]), self._joints)[2:]
+        nodes = least_norm_path(self._robot, start.arm.q, self._which.of_all(
+            Poses(poses.position[first], poses.rotation[first]), start.reference),
+            self._joints)[2:]
         twists = _steps(poses) / step
         speed = np.maximum(np.linalg.norm(twists[:, :3], axis=1) / self._full_speed[0],
                            np.linalg.norm(twists[:, 3:], axis=1) / self._full_speed[1])
@@ -135,9 +172,8 @@ class TipChunkWay:
 
     def off(self, s: float, tip: Pose) -> float:
         """Return how far a tip is from the chunk itself at a time of it [m, rad]."""
-        apart = self._robot.task_rows(se3.pose_error(
-            self.pose_of_chunk(s), tip, self._robot.in_tool))
-        return float(np.abs(apart).max())
+        apart = se3.pose_error(self.pose_of_chunk(s), tip, self._robot.in_tool)
+        return float(np.abs(apart[self._controlled]).max())
 
     def _curve_motion(self, times: Array) -> Motion:
         """Return how the chunk itself moves at times (N,): (N, 6) in base axes, positions 0."""

@@ -30,11 +30,12 @@ from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.chunk_follower import ChunkFollower
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.free_way import FreeWay, JointMotion, Stretch
-from redundant_planner.core.target.goal import Goal, Target
+from redundant_planner.core.target.goal import Goal, Target, TipGoals
 from redundant_planner.core.target.joint_stream import JointStream
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.core.target.progress import Progress, REACHED, TargetState
 from redundant_planner.core.target.straight_way import StraightWay
+from redundant_planner.core.target.tip_chunk_way import Which
 
 Array = npt.NDArray[np.float64]
 
@@ -87,14 +88,17 @@ class Way:
         self._free = FreeWay(
             robot, limits, constants.scaling, joints_speed, parameters.feedback_gain,
             effort=parameters.target_effort, gives_way=parameters.target_gives_way)
-        self._chunks = ChunkFollower(
-            robot, limits, self._joints, full_speed, parameters.feedback_gain)
+        # Of all joints the first one.
+        self._chunks = tuple(
+            ChunkFollower(robot, limits, self._joints, full_speed, parameters.feedback_gain,
+                          Which(tip, coupling)) for tip in range(len(self._lines)))
         self._straight = parameters.target_path == 'straight'
         self._range = limits.positions[1], limits.positions[0]
         self._space: tuple[InflatedObstacles, FreeSpace] | None = None
         self._given: Goal | Poses | None = None
         if before is not None:
-            self._chunks.go_on_from(before._chunks)
+            for chunks, chunks_before in zip(self._chunks, before._chunks):
+                chunks.go_on_from(chunks_before)
             for line, known in zip(self._lines, before._lines):
                 line.go_on_from(known)
             self._stream.go_on_from(before._stream)
@@ -107,7 +111,11 @@ class Way:
             line.reset()
         self._stream.reset()
         self._free.reset()
-        self._chunks.reset()
+        self._forget_chunks()
+
+    def _forget_chunks(self) -> None:
+        for chunks in self._chunks:
+            chunks.reset()
 
     def aim(
         self, start: Start, target: Target, followed: Array, delay: float,
@@ -129,10 +137,10 @@ class Way:
         """
         if isinstance(target, Chunk):
             return self._along(start, target, followed, delay)
-        self._chunks.reset()
+        if isinstance(target, TipGoals):
+            return self._to_goals(start, target, followed, delay, obstacles, news, free=free)
+        self._forget_chunks()
         line, stream, way = self._line, self._stream, self._free
-        if isinstance(target, Poses):
-            return self._to_poses(start, target, followed, delay, obstacles, news, free=free)
         if not news and not _same(target, self._given):
             news = (Sighting(target),)
         self._given = target
@@ -159,17 +167,17 @@ class Way:
         assert isinstance(target, Pose)  # a free way leads the joints to the end
         return Aim(*line.command(start, target, followed, delay), None)
 
-    def _to_poses(
-        self, start: Start, targets: Poses, followed: Array, delay: float,
+    def _to_goals(
+        self, start: Start, targets: TipGoals, followed: Array, delay: float,
         obstacles: Callable[[], InflatedObstacles], news: Sequence[Sighting], *, free: bool,
     ) -> Aim:
-        """Return what to do about poses of several tips, see `aim`; `news` are tip → pose."""
-        known, self._given = self._given, targets
+        """Return what to do about targets of several tips, see `aim`; `news` are tip → pose."""
+        known, self._given = self._given, targets.poses
         poses = []
-        for t, (line, pose) in enumerate(zip(self._lines, targets.each)):
+        for t, (line, pose) in enumerate(zip(self._lines, targets.poses.each)):
             tip = self._robot.tips[t]
             own = [Sighting(at, seen.age) for seen in news if isinstance(seen.target, Mapping)
-                   for at in (seen.target.get(tip),) if at is not None]
+                   for at in (seen.target.get(tip),) if isinstance(at, Pose)]
             if not news and not (isinstance(known, Poses)
                                  and np.array_equal(known.position[t], pose.position)
                                  and np.array_equal(known.rotation[t], pose.rotation)):
@@ -179,7 +187,7 @@ class Way:
         coupled = self._coupling is not None
         parts = start.command.reshape(-1, 6)
         by_twists = [not coupled and bool(part.any()) for part in parts]
-        straight = (self._straight and not free) or any(by_twists) or any(
+        straight = (self._straight and not free) or any(by_twists) or any(targets.chunks) or any(
             line.follows_stream for line in self._lines)
         joints: JointMotion | None = None
         if straight or coupled:
@@ -189,17 +197,25 @@ class Way:
                 start, Poses.of(*poses), lambda: self._space_among(obstacles()),
                 stuck=any(line.is_stuck for line in self._lines))
         if joints is not None:
+            self._forget_chunks()
             for line in self._lines:
                 line.begin()
             return self._by(joints, start)
         twists = np.zeros(6 * len(self._robot.tips))
-        for t, (line, pose) in enumerate(zip(self._lines, poses)):
+        for t, (line, pose, chunk, chunks) in enumerate(zip(
+                self._lines, poses, targets.chunks, self._chunks)):
             own_part = slice(6 * t, 6 * t + 6)
+            if chunk is None:
+                chunks.reset()
             if by_twists[t]:
                 line.begin()
                 twists[own_part] = start.command[own_part]
-            else:
+            elif chunk is None:
                 twists[own_part], _ = line.command(start, pose, followed[own_part], delay)
+            else:
+                line.reset()
+                chunks.joints(start, chunk, followed[own_part], delay)
+                twists[own_part], _ = chunks.twist(start)
         return Aim(twists, None, None)
 
     def _by(self, joints: JointMotion, start: Start) -> Aim:
@@ -208,33 +224,42 @@ class Way:
 
     def _along(self, start: Start, chunk: Chunk, followed: Array, delay: float) -> Aim:
         """Return what to do in a tick along a chunk, see `aim`."""
-        if not self._chunks.is_active:
+        chunks = self._chunks[0]
+        if not chunks.is_active:
             self.reset()
-        joints = self._chunks.joints(start, chunk, followed, delay)
+        joints = chunks.joints(start, chunk, followed[:6], delay)
         if joints is None:
-            return Aim(*self._chunks.twist(start), None)
+            return Aim(*chunks.twist(start), None)
         return self._by(joints, start)
 
     @property
     def is_along_chunk(self) -> bool:
-        """Whether a chunk is the target."""
-        return self._chunks.is_active
+        """Whether a chunk is the target, or that of a tip."""
+        return any(chunks.is_active for chunks in self._chunks)
 
     def went_on(self, result: Filtered, dt: float) -> None:
-        """Note what a tick made of what the joints should do, or the tip along a chunk."""
-        way = self._chunks if self.is_along_chunk else self._free
-        way.went_on(result.scale, result.residual, dt)
+        """Note what a tick made of what the joints should do, or tips along chunks."""
+        if not self.is_along_chunk:
+            self._free.went_on(result.scale, result.residual, dt)
+        for t, chunks in enumerate(self._chunks):
+            if chunks.is_active:
+                share = result.scale if result.scales is None else float(result.scales[t])
+                chunks.went_on(share, result.residual, dt)
 
     def progress(self, target: Target, arm: Kinematics) -> Progress:
         """Return how far the arm has come, from where it is."""
         if isinstance(target, Chunk):
-            return self._chunks.progress(target, arm)
+            return self._chunks[0].progress(target, arm)
         tip = arm.tips.first
         if isinstance(target, Pose):
             found = self._line.progress(target, tip)
-        elif isinstance(target, Poses):
-            found = _together([line.progress(pose, tip) for line, pose, tip in zip(
-                self._lines, target.each, arm.tips.each)])
+        elif isinstance(target, TipGoals):
+            found = _together([
+                line.progress(pose, tip) if chunk is None else chunks.progress(chunk, arm)
+                for line, pose, tip, chunk, chunks in zip(
+                    self._lines, target.poses.each, arm.tips.each, target.chunks, self._chunks)])
+            if any(target.chunks):
+                return found
         else:
             target = nearest_turn(
                 self._within_limits(target), arm.q, self._robot.position_max)
@@ -294,4 +319,4 @@ def _together(found: Sequence[Progress]) -> Progress:
         TargetState.OUT_OF_REACH, TargetState.BLOCKED, TargetState.MOVING) if state in states),
         TargetState.REACHED)
     return Progress(state, *(max(getattr(progress, name) for progress in found)
-                             for name in ('distance', 'angle', 'seconds', 'miss')))
+                             for name in Progress._fields[1:]))
