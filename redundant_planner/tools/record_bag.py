@@ -37,7 +37,7 @@ TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'cmd_vel_preview', 'target
           'robot_description', '~/configuration', '~/ticks', '~/target', '~/markers',
           '/diagnostics')
 # What each of several tips has, and what they hold.
-_OF_TIPS = 'cmd_vel', 'target_pose'
+_OF_TIPS = 'cmd_vel', 'target_pose', 'target_path'
 _DEPTH = 5000
 # How often the recorder looks for topics that have appeared, and hands the system what it has [s].
 _LOOK = 0.1
