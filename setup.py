@@ -39,7 +39,7 @@ TEST = [
 
 setup(
     name=PACKAGE,
-    version='0.2.0',
+    version='0.3.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: ['py.typed', 'playground/page.js']},
     data_files=[

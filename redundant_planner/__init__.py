@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from redundant_planner.io.robot_files import Robot
     from redundant_planner.simulation import Motion, simulate
 
-__version__ = '0.2.0'
+__version__ = '0.3.0'
 
 __all__ = [
     'Barrier',
