@@ -296,7 +296,7 @@ def _wish(
     at = rows.cone_rows(found, at, start, constants.cone)
     at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
     if not intruded:
-        at = rows.self_motion_row(found, at, start, parts, limits, constants)
+        at = rows.self_motion_rows(found, at, start, parts, limits, constants)
     barriers = barriers_in_compiled(room, at)
 
     share = unseen_share(near.unseen, can)

@@ -54,8 +54,8 @@ _SPARE_IN_CONE, _CAUTION_IN_CONE, _DRIFT = 0.03, 0.4, 0.01
 _SLIGHT, _SLOWLY_OUT = 2e-5, 1e-3
 # Links that have strayed less than this count as in place: the rest of the noise [m].
 _IN_PLACE = 5e-4
-# One each for the singularity and self-motion; besides, two for each tip's cone.
-_OTHER_ROWS, _ROWS_OF_CONE = 2, 2
+# One for the singularity; besides, of each tip two for its cone and one for its null-space motion.
+_OTHER_ROWS, _ROWS_OF_TIP = 1, 3
 # How far the tip may leave its path while null-space motion is being braked [m], [rad].
 STRAY, STRAY_ANGLE = 2.5e-4, 2.5e-3
 
@@ -178,7 +178,7 @@ def _most_rows(acting: int, own: int, tips: int) -> int:
         own: views of pairs of links that could meet, see `NearLinks`.
         tips: of the arm.
     """
-    return acting + own + _ROWS_OF_CONE * tips + _OTHER_ROWS
+    return acting + own + _ROWS_OF_TIP * tips + _OTHER_ROWS
 
 
 most_rows = kernel(_most_rows)
@@ -405,23 +405,38 @@ def fastest_self_motion(
 
 
 @kernel
-def self_motion_row(
+def self_motion_rows(
     rows: Barriers, at: int, start: Start, parts: Decomposition, limits: Limits,
     constants: RobotConstants,
 ) -> int:
-    """Write a row that keeps null-space motion slow enough to stop; return the next row."""
+    """Write rows that keep null-space motion slow enough to stop; return the next row.
+
+    Arms that share no joint have one each: with one for both, what slows the first would have to
+    push the second to and fro.
+    """
     scaling, previous, dt = constants.scaling, start.previous, start.dt
     self_motion = scaling * null_space.project(parts, previous / scaling)
-    fastest = fastest_self_motion(start.arm, self_motion, limits, constants)
-    if fastest == np.inf:
-        return at
-    # h·q̇ / |h| may be that much at most, whatever the rate of the other barriers.
-    speed = math.sqrt(np.sum(self_motion * self_motion))
     slower = 1.0 - dt / max(stopping_time(previous, limits.acceleration_max), dt)
-    rows.gradient[at] = -self_motion / speed
-    rows.time_derivative[at] = max(fastest, slower * np.sum(self_motion * previous) / speed)
-    rows.kind[at] = SELF_MOTION
-    return at + 1
+    roots = np.empty(len(previous), np.intp)
+    for j in range(len(roots)):
+        parent = constants.parents[j]
+        roots[j] = j if parent == 0 else roots[parent - 1]
+    own = np.empty(len(previous))
+    for root in range(len(roots)):
+        if roots[root] != root:
+            continue
+        for j in range(len(roots)):
+            own[j] = self_motion[j] if roots[j] == root else 0.0
+        fastest = fastest_self_motion(start.arm, own, limits, constants)
+        if fastest == np.inf:
+            continue
+        # h·q̇ / |h| may be that much at most, whatever the rate of the other barriers.
+        speed = math.sqrt(np.sum(own * own))
+        rows.gradient[at] = -own / speed
+        rows.time_derivative[at] = max(fastest, slower * np.sum(own * previous) / speed)
+        rows.kind[at] = SELF_MOTION
+        at += 1
+    return at
 
 
 def with_rows(barriers: Barriers, more: Barriers) -> Barriers:
