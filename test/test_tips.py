@@ -12,8 +12,14 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmark import tips
+from benchmark.generator import generate
+from benchmark.judge import accelerations, reversals
 from benchmark.tip_bodies import BODIES, make_body
+from benchmark.tips import DT
+from redundant_planner.core import planner as planner_module
 from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.target.progress import TargetState
 
 KEYS = {'count', 'arrived', 'contacts', 'violations', 'relative_mm_max', 'time_median',
@@ -56,3 +62,30 @@ def test_the_judge_sees_a_touch_and_a_limit_that_is_exceeded():
 def test_a_base_has_no_hands_to_couple():
     with pytest.raises(SystemExit):
         tips.main(['--body', 'base', '--coupled'])
+
+
+def test_what_slows_one_arm_down_does_not_shake_the_other(monkeypatch):
+    moves, wish = [], planner_module.wish
+
+    def noted(start, world, setup):
+        desired = wish(start, world, setup)
+        moves.append(np.abs(start.arm.jacobian @ desired.motions[2]).max())
+        return desired
+
+    monkeypatch.setattr(planner_module, 'wish', noted)
+    # Both arms hang on the base: the left one is held up by an obstacle, the right one by nothing.
+    robot = make_body('baxter')
+    task = generate(robot, 9058)
+    planner, scene, q = Planner(robot), Scene.of(task.obstacles), task.start
+    velocities, shares = [], []
+    for tick in range(1000):
+        result = planner.step(q, task.twist_at(tick * DT).reshape(-1, 6), scene, DT)
+        q = q + DT * result.dq
+        velocities.append(result.dq)
+        shares.append([tip.scale for tip in result.tips])
+    left, right = np.array(shares[100:]).min(axis=0)
+    assert left < 0.9 and right > 0.99
+    assert max(moves) < 1e-9  # by null-space motion, which is slowed arm by arm
+    of_right = robot.chain.tip_supports[1] > 0.0
+    found = accelerations(np.array(velocities), DT)[:, of_right]
+    assert reversals(found, robot.acceleration_max[of_right]) < 20

@@ -296,7 +296,10 @@ def _wish(
     at = rows.cone_rows(found, at, start, constants.cone)
     at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
     if not intruded:
+        first = at
         at = rows.self_motion_rows(found, at, start, parts, limits, constants)
+        if len(scaling) - len(twist) > 1:
+            rows.slow_self_motion(motions, found, first, at, constants)
     barriers = barriers_in_compiled(room, at)
 
     share = unseen_share(near.unseen, can)

@@ -13,7 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import RobotConstants
-from redundant_planner.core.kernels import compiled, IndexPairs, Indices, kernel, Matrix, Vector
+from redundant_planner.core.kernels import (
+    compiled,
+    IndexPairs,
+    Indices,
+    kernel,
+    Matrix,
+    OutMatrix,
+    Vector,
+)
 from redundant_planner.core.obstacles.clearance_gradients import bending
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import MOST_ACTING, NearPairs
@@ -405,6 +413,15 @@ def fastest_self_motion(
 
 
 @kernel
+def _roots(parents: Indices) -> Indices:
+    """Return the joint (n,) at the base that each joint hangs on."""
+    roots = np.empty(len(parents), np.intp)
+    for j in range(len(roots)):
+        roots[j] = j if parents[j] == 0 else roots[parents[j] - 1]
+    return roots
+
+
+@kernel
 def self_motion_rows(
     rows: Barriers, at: int, start: Start, parts: Decomposition, limits: Limits,
     constants: RobotConstants,
@@ -417,11 +434,7 @@ def self_motion_rows(
     scaling, previous, dt = constants.scaling, start.previous, start.dt
     self_motion = scaling * null_space.project(parts, previous / scaling)
     slower = 1.0 - dt / max(stopping_time(previous, limits.acceleration_max), dt)
-    roots = np.empty(len(previous), np.intp)
-    for j in range(len(roots)):
-        parent = constants.parents[j]
-        roots[j] = j if parent == 0 else roots[parent - 1]
-    own = np.empty(len(previous))
+    roots, own = _roots(constants.parents), np.empty(len(previous))
     for root in range(len(roots)):
         if roots[root] != root:
             continue
@@ -434,9 +447,39 @@ def self_motion_rows(
         speed = math.sqrt(np.sum(own * own))
         rows.gradient[at] = -own / speed
         rows.time_derivative[at] = max(fastest, slower * np.sum(own * previous) / speed)
-        rows.kind[at] = SELF_MOTION
+        rows.kind[at], rows.first[at] = SELF_MOTION, root
         at += 1
     return at
+
+
+@kernel
+def slow_self_motion(
+    motions: OutMatrix, rows: Barriers, first: int, end: int, constants: RobotConstants,
+) -> None:
+    """Slow the wish down to what the rows of null-space motion let through.
+
+    They bound it along the motion of the last tick. In a null space of several dimensions the
+    filter would keep them by motion aside, which the next tick's row turns against: the arm shakes
+    where more than twice as much is asked for as may be.
+
+    Args:
+        motions: (3, n) see `Wish`.
+        rows: of the tick.
+        first, end: which of them are of null-space motion.
+        constants: the robot.
+    """
+    dq, least_norm, homogeneous = motions[0], motions[1], motions[2]
+    roots = _roots(constants.parents)
+    for row in range(first, end):
+        along, asked = -rows.gradient[row], rows.time_derivative[row]
+        wanted, given = np.sum(along * homogeneous), np.sum(along * least_norm)
+        if wanted <= 0.0 or given + wanted <= asked:
+            continue
+        share = max(asked - given, 0.0) / wanted
+        for j in range(len(roots)):
+            if roots[j] == rows.first[row]:
+                homogeneous[j] *= share
+                dq[j] = least_norm[j] + homogeneous[j]
 
 
 def with_rows(barriers: Barriers, more: Barriers) -> Barriers:
