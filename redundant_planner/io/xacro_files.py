@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+import re
 
 from redundant_planner.core.errors import PlannerError, shown
 from redundant_planner.io.resources import read_text, resolve
+
+# What ament says of a package that `$(find …)` asks for and that is not there.
+_MISSING = re.compile(r'"?package \'([^\']+)\' not found')
 
 
 def is_xacro(path: Path) -> bool:
@@ -46,7 +50,16 @@ def urdf_in(path: Path, arguments: Sequence[str] = ()) -> str:
     try:
         return str(xacro.process_file(str(path), mappings=mappings).toxml())
     except Exception as error:  # xacro's own, XML's, and whatever an expression in it raises
-        raise PlannerError(f"xacro cannot expand '{path}': {error}") from None
+        raise PlannerError(f"xacro cannot expand '{path}': {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    """Return why a file cannot be expanded; xacro's own words come twice, or with a class."""
+    cause = getattr(error, 'exc', None) or error
+    found = _MISSING.match(str(cause))
+    if found:
+        return f"package '{found[1]}' is not installed; source the workspace that has it"
+    return str(error.args[0] if isinstance(cause, OSError) and error.args else error)
 
 
 def expanded(urdf: str, arguments: Sequence[str], folder: Path) -> str:

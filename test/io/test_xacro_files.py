@@ -50,6 +50,20 @@ def test_what_xacro_refuses_is_said(arm):
         urdf_in(arm)
 
 
+@pytest.mark.parametrize(('file', 'message'), [
+    ('$(find nowhere)/arm.xacro',
+     "package 'nowhere' is not installed; source the workspace that has it"),
+    ('/nowhere/arm.xacro', 'No such file or directory: /nowhere/arm.xacro')])
+def test_what_is_not_there_is_said_once_and_plainly(tmp_path, file, message):
+    pytest.importorskip('ament_index_python')
+    arm = tmp_path / 'arm.urdf.xacro'
+    arm.write_text('<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+                   f'<xacro:include filename="{file}"/></robot>')
+    with pytest.raises(PlannerError) as error:
+        urdf_in(arm)
+    assert str(error.value) == f"xacro cannot expand '{arm}': {message}"
+
+
 def test_a_plain_urdf_stays_where_it_is_and_takes_no_arguments(tmp_path):
     plain = tmp_path / 'arm.urdf'
     plain.write_text(planar_urdf())
