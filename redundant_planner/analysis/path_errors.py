@@ -45,7 +45,7 @@ def path_errors(
     for begin in begins:
         after = int(stops[np.searchsorted(stops, begin, side='right')])
         pose = Pose(tips[begin], rotations[begin])
-        points, last = [pose.position], begin
+        points, last = [pose.position], int(begin)
         for i in range(begin, after - 1):
             if moving[i]:
                 last = i
