@@ -232,6 +232,13 @@ def said_of_limits(arm: Arm) -> str:
         f'  {line}' for line in limit_lines(arm.robot, arm.sources))])
 
 
+def said_of_tip(robot: Robot) -> str:
+    """Return the link that is steered, and which others move along with it."""
+    others = [link for link in robot.links_of_tip if link != robot.tip_frame]
+    return f"tip: '{robot.tip_frame}'" + (
+        f'; --tip steers another link, of the same hand {known(others)}' if others else '')
+
+
 def several_tips(urdf: str) -> str:
     """Return a sentence about the tips of a URDF with several arms; empty for one.
 
@@ -314,6 +321,8 @@ def main(args: list[str] | None = None) -> int:
         draw(options.out, arm, warn)
         console.print(_table(arm.robot, fits, time.monotonic() - began))
         console.print(said_of_limits(arm), highlight=False, markup=False, soft_wrap=True)
+        if not options.tip and not arm.parameters.tips:
+            console.print(said_of_tip(arm.robot), highlight=False, markup=False, soft_wrap=True)
         console.print(f'picture: {options.out}')
         print(parameter_file(arm.parameters, arm.robot, arm.start, arm.sources), end='')
     except PlannerError as error:
