@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 import re
 
-from redundant_planner.core.errors import PlannerError, shown
+from redundant_planner.core.errors import known, PlannerError, shown
 from redundant_planner.io.resources import read_text, resolve
 
+# An argument that a file of macros declares.
+_ARGUMENT = re.compile(r'<xacro:arg\s+name="([^"]+)"')
 # What ament says of a package that `$(find …)` asks for and that is not there.
 _MISSING = re.compile(r'"?package \'([^\']+)\' not found')
 
@@ -48,9 +50,11 @@ def urdf_in(path: Path, arguments: Sequence[str] = ()) -> str:
             f"'{path}' is a xacro file, and there is no xacro to expand it: install "
             f'ros-jazzy-xacro, pip install xacro, or run `{line}` where it is') from None
     try:
-        return str(xacro.process_file(str(path), mappings=mappings).toxml())
+        return str(xacro.process_file(str(path), mappings=dict(mappings)).toxml())
     except Exception as error:  # xacro's own, XML's, and whatever an expression in it raises
-        raise PlannerError(f"xacro cannot expand '{path}': {_reason(error)}") from None
+        taken = [name for name in _ARGUMENT.findall(text) if name not in mappings]
+        raise PlannerError(f"xacro cannot expand '{path}': {_reason(error)}" + (
+            f'; arguments that it takes besides: {known(taken)}' if taken else '')) from None
 
 
 def _reason(error: Exception) -> str:

@@ -46,8 +46,12 @@ def test_malformed_arguments_are_named(arm, arguments, message):
 
 def test_what_xacro_refuses_is_said(arm):
     arm.write_text(arm.read_text().replace('$(arg prefix)', '$(arg nothing)'))
-    with pytest.raises(PlannerError, match=r'xacro cannot expand .*nothing'):
+    with pytest.raises(PlannerError, match=r'xacro cannot expand .*nothing') as error:
         urdf_in(arm)
+    assert str(error.value).endswith("; arguments that it takes besides: 'prefix'")
+    with pytest.raises(PlannerError) as error:
+        urdf_in(arm, ['prefix:=my_'])
+    assert 'besides' not in str(error.value)
 
 
 @pytest.mark.parametrize(('file', 'message'), [
