@@ -13,6 +13,8 @@ from redundant_planner.io.resources import read_text, resolve
 _ARGUMENT = re.compile(r'<xacro:arg\s+name="([^"]+)"')
 # What ament says of a package that `$(find …)` asks for and that is not there.
 _MISSING = re.compile(r'"?package \'([^\']+)\' not found')
+# Where sourced workspaces are.
+_SOURCED = 'AMENT_PREFIX_PATH'
 
 
 def is_xacro(path: Path) -> bool:
@@ -63,6 +65,8 @@ def _reason(error: Exception) -> str:
     found = _MISSING.match(str(cause))
     if found:
         return f"package '{found[1]}' is not installed; source the workspace that has it"
+    if _SOURCED in str(cause):
+        return f'it asks for a package, and no workspace is sourced ({_SOURCED} is not set)'
     return str(error.args[0] if isinstance(cause, OSError) and error.args else error)
 
 

@@ -54,11 +54,14 @@ def test_what_xacro_refuses_is_said(arm):
     assert 'besides' not in str(error.value)
 
 
-@pytest.mark.parametrize(('file', 'message'), [
-    ('$(find nowhere)/arm.xacro',
+@pytest.mark.parametrize(('sourced', 'file', 'message'), [
+    ('', '$(find nowhere)/arm.xacro',
+     'it asks for a package, and no workspace is sourced (AMENT_PREFIX_PATH is not set)'),
+    ('/opt/none', '$(find nowhere)/arm.xacro',
      "package 'nowhere' is not installed; source the workspace that has it"),
-    ('/nowhere/arm.xacro', 'No such file or directory: /nowhere/arm.xacro')])
-def test_what_is_not_there_is_said_once_and_plainly(tmp_path, file, message):
+    ('', '/nowhere/arm.xacro', 'No such file or directory: /nowhere/arm.xacro')])
+def test_what_is_not_there_is_said_once_and_plainly(tmp_path, monkeypatch, sourced, file, message):
+    monkeypatch.setenv('AMENT_PREFIX_PATH', sourced)
     pytest.importorskip('ament_index_python')
     arm = tmp_path / 'arm.urdf.xacro'
     arm.write_text('<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
