@@ -15,6 +15,8 @@ Array = npt.NDArray[np.float64]
 
 # How many samples of the commanded path are searched for the one next to the tip.
 _BEHIND, _AHEAD = 20, 400
+# For how long an arm whose command has ended goes on along its path until it rests [s].
+_BRAKING = 0.5
 
 
 def path_errors(
@@ -23,8 +25,9 @@ def path_errors(
     """Return the distance (k,) of the tip from the path it was commanded along [m].
 
     A path begins where the tip is when a command begins, and leads where the twists do, each
-    held until the next sample. How fast the tip goes along it does not count. NaN before
-    the first command, and from a target on: nothing says where the tip shall be on its way.
+    held until the next sample, and on along the last one while the arm brakes. How fast the tip
+    goes along it does not count. NaN before the first command, and from a target on: nothing says
+    where the tip shall be on its way.
 
     Args:
         robot: the arm.
@@ -42,13 +45,15 @@ def path_errors(
     for begin in begins:
         after = int(stops[np.searchsorted(stops, begin, side='right')])
         pose = Pose(tips[begin], rotations[begin])
-        points = [pose.position]
+        points, last = [pose.position], int(begin)
         for i in range(begin, after - 1):
-            if not moving[i]:
+            if moving[i]:
+                last = i
+            elif times[i] > times[last] + _BRAKING:
                 break
             step = float(times[i + 1] - times[i])
             pose = se3.integrate(
-                pose, twists[i], step if 0.0 < step <= GAP else 0.0, robot.in_tool)
+                pose, twists[last], step if 0.0 < step <= GAP else 0.0, robot.in_tool)
             points.append(pose.position)
         path: Array = np.array(points)
         at = 0

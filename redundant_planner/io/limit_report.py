@@ -21,7 +21,8 @@ def limit_lines(robot: Robot, sources: Sources) -> list[str]:
         robot: the arm.
         sources: where its limits are from.
     """
-    ranges = [f'{low:g}..{high:g}' for low, high in zip(robot.position_min, robot.position_max)]
+    ranges = [f'{low:g}..{high:g}' if low > -math.inf or high < math.inf else 'endless'
+              for low, high in zip(robot.position_min, robot.position_max)]
     numbers = (ranges, *([f'{limit:g}' for limit in limits] for limits in (
         robot.velocity_max, robot.acceleration_max, robot.jerk_max)))
     columns = [('joint', *robot.joint_names), *(

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+import re
 
-from redundant_planner.core.errors import PlannerError, shown
+from redundant_planner.core.errors import known, PlannerError, shown
 from redundant_planner.io.resources import read_text, resolve
+
+# An argument that a file of macros declares.
+_ARGUMENT = re.compile(r'<xacro:arg\s+name="([^"]+)"')
+# What ament says of a package that `$(find …)` asks for and that is not there.
+_MISSING = re.compile(r'"?package \'([^\']+)\' not found')
+# Where sourced workspaces are.
+_SOURCED = 'AMENT_PREFIX_PATH'
 
 
 def is_xacro(path: Path) -> bool:
@@ -44,9 +52,22 @@ def urdf_in(path: Path, arguments: Sequence[str] = ()) -> str:
             f"'{path}' is a xacro file, and there is no xacro to expand it: install "
             f'ros-jazzy-xacro, pip install xacro, or run `{line}` where it is') from None
     try:
-        return str(xacro.process_file(str(path), mappings=mappings).toxml())
+        return str(xacro.process_file(str(path), mappings=dict(mappings)).toxml())
     except Exception as error:  # xacro's own, XML's, and whatever an expression in it raises
-        raise PlannerError(f"xacro cannot expand '{path}': {error}") from None
+        taken = [name for name in _ARGUMENT.findall(text) if name not in mappings]
+        raise PlannerError(f"xacro cannot expand '{path}': {_reason(error)}" + (
+            f'; arguments that it takes besides: {known(taken)}' if taken else '')) from None
+
+
+def _reason(error: Exception) -> str:
+    """Return why a file cannot be expanded; xacro's own words come twice, or with a class."""
+    cause = getattr(error, 'exc', None) or error
+    found = _MISSING.match(str(cause))
+    if found:
+        return f"package '{found[1]}' is not installed; source the workspace that has it"
+    if _SOURCED in str(cause):
+        return f'it asks for a package, and no workspace is sourced ({_SOURCED} is not set)'
+    return str(error.args[0] if isinstance(cause, OSError) and error.args else error)
 
 
 def expanded(urdf: str, arguments: Sequence[str], folder: Path) -> str:

@@ -13,8 +13,9 @@ from redundant_planner.nodes.last_word import LastWord, READY, STARTING
 from redundant_planner.nodes.other_publishers import publishers_of, why_nothing_comes
 from redundant_planner.nodes.tip_topics import OBJECT
 
-# How long the arm may take to say where it is before the log says that it waits [s].
-_HEARD_WITHIN = 2.0
+# How long the arm may take to say where it is before the log says that it waits [s]: nodes
+# announce themselves every 3 s.
+_HEARD_WITHIN = 4.0
 
 
 class TopicWatch:

@@ -87,7 +87,7 @@ def follow(client: TargetClient, target: Goal, console: Console) -> str:
             reached, limit = word.state == TargetState.REACHED.value, word.values['limited by']
             share = 1.0 if reached else 1.0 - min(_left(word.values) / max(first, 1e-9), 1.0)
             bar.update(task, completed=share, description=word.state,
-                       what=f'{_shown(word.values, target)} {printable(limit)}')
+                       what=f'{_shown(word.values, target)} {"" if reached else printable(limit)}')
             now = time.monotonic()
             if reached or patience.is_over(word.state, now):
                 return word.state

@@ -44,6 +44,7 @@ from redundant_planner.tools.show_robot import (
     draw,
     parameter_file,
     said_of_limits,
+    said_of_tip,
     several_tips,
 )
 
@@ -168,6 +169,8 @@ def prepared(
         file.write_text(parameter_file(arm.parameters, arm.robot, arm.start, arm.sources))
         say(f'parameter file: {file}')
     say(said_of_limits(arm))
+    if not is_kept and not arm.parameters.tips and not options.tip:
+        say(said_of_tip(arm.robot))
     if picture.exists() and not options.overwrite:
         say(f'{picture} is there already and stays as it is')
     else:

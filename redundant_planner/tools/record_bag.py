@@ -144,8 +144,9 @@ def _message_class(kind: str) -> Any:
 
 def _heard(recorder: Recorder) -> str:
     count = len(recorder.counts)
-    return f'{count} topics are there' if count else (
-        'none of the topics is there yet, each is recorded once it is')
+    found = 'none of its topics is' if not count else (
+        '1 topic is' if count == 1 else f'{count} topics are')
+    return f'{found} there yet; others are recorded from when they appear'
 
 
 def record(folder: Path, planner: str, extra: list[str], duration: float | None) -> dict[str, int]:

@@ -218,7 +218,8 @@ def parameter_file(
         "# The URDF has no acceleration limits for all joints: replace acceleration_max by your\n"
         "# drives' own.\n")
     return ('# Made by show_robot. The capsules contain all of the collision geometry that the '
-            'chain moves,\n# fingers at any opening unless locked_joints locks them.\n' + ask
+            'chain moves,\n# fingers at any opening unless locked_joints locks them. Links that '
+            'stand still, as the base,\n# have none: docs/robots.md says how to add one.\n' + ask
             + ('' if not start else
             '# A simulated arm (fake_hardware_node, mujoco_hardware_node) starts at '
             'initial_positions.\n') + '# The limits, and where each was from when this was '
@@ -230,6 +231,13 @@ def said_of_limits(arm: Arm) -> str:
     """Return the limits of an arm's joints, each with where it is from, as text of a few lines."""
     return '\n'.join(['limits, and where each is from:', *(
         f'  {line}' for line in limit_lines(arm.robot, arm.sources))])
+
+
+def said_of_tip(robot: Robot) -> str:
+    """Return the link that is steered, and which others move along with it."""
+    others = [link for link in robot.links_of_tip if link != robot.tip_frame]
+    return f"tip: '{robot.tip_frame}'" + (
+        f'; --tip steers another link, of the same hand {known(others)}' if others else '')
 
 
 def several_tips(urdf: str) -> str:
@@ -314,6 +322,8 @@ def main(args: list[str] | None = None) -> int:
         draw(options.out, arm, warn)
         console.print(_table(arm.robot, fits, time.monotonic() - began))
         console.print(said_of_limits(arm), highlight=False, markup=False, soft_wrap=True)
+        if not options.tip and not arm.parameters.tips:
+            console.print(said_of_tip(arm.robot), highlight=False, markup=False, soft_wrap=True)
         console.print(f'picture: {options.out}')
         print(parameter_file(arm.parameters, arm.robot, arm.start, arm.sources), end='')
     except PlannerError as error:

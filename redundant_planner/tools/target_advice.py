@@ -20,5 +20,5 @@ _ADVICE = {
 def explained(reason: str) -> str:
     """Return the planner's reason, and what may help."""
     advice = next((words for part, words in _ADVICE.items() if part in reason), '')
-    return printable(reason or 'the planner does not say why') + (
+    return printable(reason or 'no way has been found yet') + (
         f'; try {advice}' if advice else '')

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from redundant_planner.core.errors import ParameterError, RobotError
+from redundant_planner.io.limit_report import limit_lines
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.parameter_writer import parameter_file_text
 from redundant_planner.io.robot_files import build_robot, load_robot, Robot, robot_of_values
@@ -30,6 +31,12 @@ TABLE = [
     'joint1  -2.5..2.5 URDF     1.5 URDF          3 URDF                 77 URDF',
     'joint2  -2.5..2.5 URDF     1 default         5 default              500 default',
     'joint3  -2.5..2.5 URDF     2 URDF            5 default              500 default']
+
+
+def test_a_joint_without_limits_is_said_to_be_endless():
+    robot = Robot(planar_urdf(('continuous', 'revolute', 'revolute')), 'tip', link_radius=0.02)
+    lines = limit_lines(robot, robot.limit_sources)
+    assert [line.split()[1] for line in lines[1:3]] == ['endless', '-2.5..2.5']
 
 
 @pytest.fixture

@@ -46,8 +46,29 @@ def test_malformed_arguments_are_named(arm, arguments, message):
 
 def test_what_xacro_refuses_is_said(arm):
     arm.write_text(arm.read_text().replace('$(arg prefix)', '$(arg nothing)'))
-    with pytest.raises(PlannerError, match=r'xacro cannot expand .*nothing'):
+    with pytest.raises(PlannerError, match=r'xacro cannot expand .*nothing') as error:
         urdf_in(arm)
+    assert str(error.value).endswith("; arguments that it takes besides: 'prefix'")
+    with pytest.raises(PlannerError) as error:
+        urdf_in(arm, ['prefix:=my_'])
+    assert 'besides' not in str(error.value)
+
+
+@pytest.mark.parametrize(('sourced', 'file', 'message'), [
+    ('', '$(find nowhere)/arm.xacro',
+     'it asks for a package, and no workspace is sourced (AMENT_PREFIX_PATH is not set)'),
+    ('/opt/none', '$(find nowhere)/arm.xacro',
+     "package 'nowhere' is not installed; source the workspace that has it"),
+    ('', '/nowhere/arm.xacro', 'No such file or directory: /nowhere/arm.xacro')])
+def test_what_is_not_there_is_said_once_and_plainly(tmp_path, monkeypatch, sourced, file, message):
+    monkeypatch.setenv('AMENT_PREFIX_PATH', sourced)
+    pytest.importorskip('ament_index_python')
+    arm = tmp_path / 'arm.urdf.xacro'
+    arm.write_text('<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+                   f'<xacro:include filename="{file}"/></robot>')
+    with pytest.raises(PlannerError) as error:
+        urdf_in(arm)
+    assert str(error.value) == f"xacro cannot expand '{arm}': {message}"
 
 
 def test_a_plain_urdf_stays_where_it_is_and_takes_no_arguments(tmp_path):

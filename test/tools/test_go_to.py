@@ -79,7 +79,7 @@ def test_a_reason_comes_with_what_may_help(reason, advice):
 
 def test_of_an_unknown_reason_it_says_no_more_than_that():
     assert explained('a comet') == 'a comet'
-    assert explained('') == 'the planner does not say why'
+    assert explained('') == 'no way has been found yet'
 
 
 def run(ros, *arguments):

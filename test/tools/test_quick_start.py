@@ -190,3 +190,13 @@ def test_it_says_what_to_type_with_and_without_the_ros2_command_line():
     without = next_steps(7, ['drive'], ['go_to'])
     assert '    ROS_DOMAIN_ID=7 drive\n' in without
     assert '    ROS_DOMAIN_ID=7 go_to --relative' in without
+
+
+def test_the_tip_that_it_took_is_said_and_which_links_move_with_it(tmp_path):
+    said = []
+    prepared(options_for(tmp_path), said.append, said.append)
+    assert "tip: 'panda_hand'; --tip steers another link, of the same hand 'panda_link7'" in (
+        '\n'.join(said))
+    said.clear()
+    prepared(options_for(tmp_path, tip='panda_link8', overwrite=True), said.append, said.append)
+    assert not any(line.startswith('tip:') for line in said)

@@ -105,7 +105,7 @@ def test_a_short_recording_begins_once_it_is_ready(tmp_path):
         out, _ = recorder.communicate(timeout=PATIENCE)
     assert recorder.returncode == 0
     # Of the station's topics /diagnostics alone is in no namespace.
-    assert '1 topics are there' in out, out
+    assert ': 1 topic is there yet' in out, out
 
 
 def test_what_is_there_is_not_overwritten(tmp_path, capfd):
