@@ -270,9 +270,10 @@ class Planner:
                 it the planner takes the present command as held.
             target: where to go, as fast as the limits allow: a pose of the tip, or joint positions
                 (n,) [rad, m]; or a chunk of either, to follow in its time: the same object in each
-                tick while it holds. Of an arm with several tips, tip → its pose, or joint
-                positions; tips without a pose follow their twist, or stay where they are. None to
-                follow the twist. Of tips with a target `twist` and `ahead` do not count.
+                tick while it holds. Of an arm with several tips, tip → its pose or chunk, or what
+                all joints do; tips without one follow their twist, or stay where they are. Of
+                coupled tips, a pose or chunk of what they hold. None to follow the twist. Of tips
+                with a target `twist` and `ahead` do not count.
             news: all targets that came since the last step, `target` the last of them, with the
                 ages of their stamps: of a stream whose messages come late or several at once.
                 Where it is empty, one came if `target` is another than in the last step.
@@ -307,10 +308,9 @@ class Planner:
         # Guard: every limit and barrier, docs/safety.md.
         crowded = self._aiming.switch(aim, desired, around, self._watch)
         own = self._own_rows(aim.start)
-        wanted = aim.mode.wanted(desired)
         admitted = self._safeguard.admitted(
-            wanted, aim, desired, self._setup.value.rows, scene, around, last, own, gently=gently
-        ) if self._filtered else Admitted.untouched(wanted)
+            aim, desired, self._setup.value.rows, scene, around, last, own, gently=gently
+        ) if self._filtered else Admitted.untouched(aim.mode.wanted(desired))
 
         # Remember: where the tip should be, and how fast the arm is.
         path = self._aiming.note(

@@ -97,13 +97,12 @@ class Safeguard:
         self._way_out.forget()
 
     def admitted(
-        self, wanted: Array, aim: Aim, desired: Wish, rows: Rows, scene: Scene,
-        around: Surroundings, last: LastTick, own: OwnRows | None, *, gently: bool,
+        self, aim: Aim, desired: Wish, rows: Rows, scene: Scene, around: Surroundings,
+        last: LastTick, own: OwnRows | None, *, gently: bool,
     ) -> Admitted:
         """Return what may be commanded of what is wanted.
 
         Args:
-            wanted: (n,) the velocity.
             aim, desired: of the tick.
             rows: where its barriers are.
             scene, around: the obstacles, and those near the arm.
@@ -112,6 +111,7 @@ class Safeguard:
             gently: whether the arm is only to show that it follows.
         """
         mode, start = aim.mode, aim.start
+        wanted = mode.wanted(desired)
         if own is not None and own.broken:
             result = _braking(start, self.limits.acceleration_max)
             return Admitted(result, result.scale, (
