@@ -201,7 +201,7 @@ def _clearances(robot: Robot, obstacle: Obstacle, ends: tuple[Array, Array], mar
     """Return ρ (k, c) of one obstacle against links widened by `margin` along a path."""
     k, c = ends[0].shape[:2]
     radii = np.tile([capsule.radius + margin for capsule in robot.capsules], k)
-    maps = inflated_obstacles(Scene.of([obstacle]), radii)
+    maps = inflated_obstacles(Scene.of([obstacle]), radii, moved=np.tile(robot.moved, k))
     pairs = link_clearance(maps, ends[0].reshape(-1, 3), ends[1].reshape(-1, 3))
     return pairs.normalized_distance.reshape(k, c)
 

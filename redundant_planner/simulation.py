@@ -127,6 +127,7 @@ def _moved(scene: Scene, time: float) -> Scene:
 def _distance(robot: Robot, q: Array, scene: Scene, margin: float) -> float:
     """Return the distance to the nearest obstacle [m], exact at the margin, see `Motion`."""
     arm = robot.kinematics(q)
-    maps = inflated_obstacles(scene, [c.radius + margin for c in robot.capsules])
+    maps = inflated_obstacles(scene, [c.radius + margin for c in robot.capsules],
+                              moved=robot.moved)
     pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
     return margin + float(pairs.distance.min(initial=np.inf))

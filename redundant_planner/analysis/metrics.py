@@ -81,7 +81,8 @@ def smallest_clearance(
         return best
     if points == 'links':
         names = [c.name for c in robot.capsules]
-        maps = inflated_obstacles(scene, [c.radius for c in robot.capsules])
+        maps = inflated_obstacles(
+            scene, [c.radius for c in robot.capsules], moved=robot.moved)
     else:
         names = [*robot.joint_names, robot.tip_frame]
         maps = inflated_obstacles(scene, np.zeros(robot.n + 1))

@@ -50,7 +50,8 @@ class SmallestClearance:
         if not scene.names or not len(self._radii):
             return result
         if self._maps is None or self._maps[0] is not scene:
-            self._maps = scene, inflated_obstacles(scene, self._radii)
+            self._maps = scene, inflated_obstacles(
+                scene, self._radii, moved=self._robot.moved)
         maps = self._maps[1]
         step = max(_BLOCK // (len(self._radii) * len(scene.names)), 1)
         for begin in range(0, len(postures), step):

@@ -40,7 +40,8 @@ Stack = npt.NDArray[np.float64]
 Stacks = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 IndexPairs = npt.NDArray[np.intp]
-Flags = npt.NDArray[np.bool_]  # of 2 dimensions
+Flags = npt.NDArray[np.bool_]
+FlagMatrix = npt.NDArray[np.bool_]
 # Arguments that the function fills.
 OutVector = npt.NDArray[np.float64]
 OutMatrix = npt.NDArray[np.float64]

@@ -34,7 +34,7 @@ class CollisionElement(NamedTuple):
 
     Attributes:
         link: its name.
-        joint: name of the chain joint that carries it.
+        joint: name of the chain joint that carries it; the base frame's of what stands still.
         xyz, rpy: (3,) the shape in the link's frame [m, rad].
         kind: sphere, box, cylinder, capsule or mesh.
         sizes: of the shape [m]; a mesh's scale, its file's unit included.
@@ -55,7 +55,7 @@ class Piece(NamedTuple):
 
     Attributes:
         link: its name.
-        joint: name of the chain joint that carries it.
+        joint: name of the chain joint that carries it; the base frame's of what stands still.
         points: (k, 3) corners of a body around it, in the link's frame [m].
         radius: of a sphere or capsule, whose points are the ends of its segment [m]; None for
             a body.
@@ -68,7 +68,7 @@ class Piece(NamedTuple):
 
 
 def collision_pieces(robot: Robot, folder: Path | None) -> list[Piece]:
-    """Return the collision elements of all links that the chain's joints move.
+    """Return the collision elements of all links that the chain's joints move, and of its base.
 
     Raises:
         RobotError: a collision element or mesh cannot be used, or there is none.
@@ -84,20 +84,25 @@ def links_without_shape(robot: Robot) -> list[str]:
 
 
 def collision_elements(robot: Robot, folder: Path | None) -> list[CollisionElement]:
-    """Read every collision element of the moving links; none is left out."""
-    links = read_urdf(robot.urdf).links
+    """Read every collision element of the moving links, and of what is fixed to the base.
+
+    Links beyond joints that are held still by others have none: they may come to stand elsewhere.
+    """
+    described = read_urdf(robot.urdf)
+    links, base = described.links, robot.base_frame
+    carriers = robot.moving_links | dict.fromkeys(described.rigid_with(base), base)
     elements = [_element(collision, link, joint, folder)
-                for link, joint in robot.moving_links.items() if link in links
+                for link, joint in carriers.items() if link in links
                 for collision in links[link].findall('collision')]
-    if not elements:
+    if all(element.joint == base for element in elements):
         raise RobotError(
             'no moving link of the URDF has collision geometry to fit capsules to; list '
             "capsules, or give a link_radius (in a file with 'link_shapes: straight')")
     joint, most = Counter(element.joint for element in elements).most_common(1)[0]
     if most > _MOST_ON_JOINT or len(elements) > _MOST_ELEMENTS:
         raise RobotError(
-            f'the links that joint {joint!r} carries have {most} collision elements, all moving '
-            f'links {len(elements)}; capsules are fitted to {_MOST_ON_JOINT} and '
+            f'the links that {joint!r} carries have {most} collision elements, all links '
+            f'{len(elements)}; capsules are fitted to {_MOST_ON_JOINT} and '
             f'{_MOST_ELEMENTS} at most: list capsules, or simplify the geometry')
     return elements
 

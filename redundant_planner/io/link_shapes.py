@@ -29,19 +29,20 @@ from redundant_planner.io.hand_openings import Openings, openings_of
 Array = npt.NDArray[np.float64]
 
 # Changes when the fit does, so that older results in the cache are not taken for its own.
-_VERSION = 3
+_VERSION = 4
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit made of the links that one joint carries.
+    """What a fit made of the links that one joint carries, or of those that stand still.
 
     Attributes:
-        joint: its name.
+        joint: its name; the base frame's of what stands still.
         links: theirs.
         capsules: around them.
         corners: points that had to be enclosed.
         ratio: volume of the capsules over that of the convex bodies; infinite for flat ones.
+        bare: links that stand still of which some body has no capsule, as it would stick out far.
     """
 
     joint: str
@@ -49,6 +50,7 @@ class Fit:
     capsules: tuple[Capsule, ...]
     corners: int
     ratio: float
+    bare: tuple[str, ...] = ()
 
 
 def fitted_capsules(
@@ -56,6 +58,8 @@ def fitted_capsules(
     cache: bool = True,
 ) -> tuple[Fit, ...]:
     """Return capsules around every link that the chain's joints move, and a hand at any opening.
+
+    Around what is fixed to the base, too, where they fit closely.
 
     Args:
         robot: the arm, its own capsules do not matter.
@@ -96,7 +100,7 @@ def larger_than_the_rest(robot: Robot) -> list[str]:
     for c, joint, length in zip(robot.capsules, joints, lengths):
         shapes = np.bincount(joints[joints != joint], lengths[joints != joint], robot.n + 1)[1:]
         rest = float(np.maximum(shapes, carried[1:]).sum())
-        if length > rest:
+        if joint > 0 and length > rest:
             said.append(
                 f"the shape of link '{c.name}' is {length:.3g} m long, the rest of the arm "
                 f'{rest:.3g} m: are the lengths in its mesh metres, and is its scale right?')
@@ -104,15 +108,22 @@ def larger_than_the_rest(robot: Robot) -> list[str]:
 
 
 def _fit(robot: Robot, pieces: Iterable[Piece], openings: Openings) -> Iterable[Fit]:
-    from redundant_planner.core.robot.capsule_fit import convex_hull, fit_body, merged, Shape
+    from redundant_planner.core.robot.capsule_fit import (
+        convex_hull,
+        fit_body,
+        fit_closely,
+        merged,
+        Shape,
+    )
 
     by_joint: dict[str, list[Piece]] = {}
     for piece in pieces:
         by_joint.setdefault(piece.joint, []).append(piece)
-    for joint in (name for name in robot.joint_names if name in by_joint):
+    for joint in (name for name in (*robot.joint_names, robot.base_frame) if name in by_joint):
         group = by_joint[joint]
         base = _base_of(robot, joint, [piece.link for piece in group], openings)
         shapes, owners, volume, corners, bulge = [], [], 0.0, 0, 0.0
+        bare: dict[str, None] = {}
         for piece in group:
             # All in the frame of one link: they are one rigid body, but for the hand's openings.
             points, more = openings.points_of(base, piece.link, piece.points)
@@ -126,13 +137,19 @@ def _fit(robot: Robot, pieces: Iterable[Piece], openings: Openings) -> Iterable[
             if piece.radius is not None:
                 points = np.vstack([_around(end, piece.radius) for end in points])
             body = convex_hull(points)
+            parts = fit_closely(body) if joint == robot.base_frame else fit_body(body)
+            if parts is None:
+                bare[piece.link] = None
+                continue
             volume += body.volume
-            parts = fit_body(body)
             shapes += parts
             owners += [piece.link] * len(parts)
         capsules: list[Capsule] = []
-        for shape, _, members in merged(shapes):
-            name = owners[members[0]]
+        # Merging saves volume; what stands still has to be covered closely.
+        whole = ([(shape, owners[i]) for i, (shape, _) in enumerate(shapes)]
+                 if joint == robot.base_frame else
+                 [(shape, owners[members[0]]) for shape, _, members in merged(shapes)])
+        for shape, name in whole:
             taken = sum(c.name == name or c.name.startswith(f'{name}_') for c in capsules)
             # Outwards by what is lost when the numbers are written down.
             radius = shape.radius + bulge + 1e-5
@@ -141,7 +158,7 @@ def _fit(robot: Robot, pieces: Iterable[Piece], openings: Openings) -> Iterable[
                                     float(np.ceil(radius * 1e5) / 1e5)))
         total = sum(Shape(c.start, c.end, c.radius).volume for c in capsules)
         yield Fit(joint, tuple(dict.fromkeys(p.link for p in group)), tuple(capsules), corners,
-                  total / volume if volume > 0.0 else np.inf)
+                  total / volume if volume > 0.0 else np.inf, tuple(bare))
 
 
 def _base_of(robot: Robot, joint: str, links: Sequence[str], openings: Openings) -> str:
@@ -191,7 +208,7 @@ def _read(file: Path, key: str, elements: Sequence[CollisionElement]) -> tuple[F
     links: dict[str, dict[str, None]] = {}
     for element in elements:
         links.setdefault(element.joint, {})[element.link] = None
-    covered = {fit.joint: dict.fromkeys(fit.links) for fit in fits if fit.capsules}
+    covered = {fit.joint: dict.fromkeys(fit.links) for fit in fits if fit.capsules or fit.bare}
     return fits if covered == links else None
 
 
@@ -199,7 +216,7 @@ def _write(file: Path, key: str, fits: Sequence[Fit]) -> None:
     """Keep fits for the next start, whole or not at all."""
     content = json.dumps([
         {'joint': fit.joint, 'links': fit.links, 'corners': fit.corners, 'ratio': fit.ratio,
-         'capsules': [capsule_entry(c) | {'name': c.name} for c in fit.capsules]}
+         'bare': fit.bare, 'capsules': [capsule_entry(c) | {'name': c.name} for c in fit.capsules]}
         for fit in fits]).encode()
     # A folder that cannot be written to costs some seconds at the next start.
     with contextlib.suppress(OSError):
@@ -222,7 +239,7 @@ def _fit_of(entry: dict[str, Any]) -> Fit:
         entry['joint'], tuple(entry['links']),
         tuple(Capsule(c['name'], c['frame'], c['start'], c['end'], c['radius'])
               for c in entry['capsules']),
-        int(entry['corners']), float(entry['ratio']))
+        int(entry['corners']), float(entry['ratio']), tuple(entry['bare']))
 
 
 def capsule_entry(capsule: Capsule) -> dict[str, Any]:

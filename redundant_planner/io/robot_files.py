@@ -257,8 +257,13 @@ def _fitted(
 ) -> list[Capsule]:
     """Return capsules fitted to a robot without shapes, some joints of which are locked."""
     fits = fitted_capsules(bare, folder, held=held)
-    if warn is not None and (unprotected := links_without_shape(bare)):
-        warn(f'no collision geometry, so nothing keeps obstacles away: {known(unprotected)}')
+    if warn is not None:
+        if unprotected := links_without_shape(bare):
+            warn(f'no collision geometry, so nothing keeps obstacles away: {known(unprotected)}')
+        if large := [link for fit in fits for link in fit.bare]:
+            warn('links that stand still and that no capsule fits closely, so nothing keeps the '
+                 f'arm off them: {known(large)}; give their shapes as obstacles, '
+                 'docs/robots.md, Link shapes')
     return [capsule for fit in fits for capsule in fit.capsules]
 
 

@@ -5,6 +5,7 @@ rclpy makes a Python object of every field of every marker: 1 ms for an arm, fif
 
 from __future__ import annotations
 
+import itertools
 import struct
 
 from geometry_msgs.msg import Point
@@ -28,7 +29,9 @@ _TEXT = 'twist ' + ' '.join(['{:+11.6f}'] * 6)
 
 
 class BodyWriter:
-    """The capsules of one arm, with what it holds, as markers.
+    """The moving capsules of one arm, with what it holds, as markers.
+
+    The base is none of them: two arms on one base would be in each other's way from the start.
 
     Each is a LINE_LIST of one line about its middle. They follow a DELETEALL, so that what the
     hand has let go of is gone.
@@ -43,7 +46,7 @@ class BodyWriter:
         """
         self.robot = robot
         markers = [Marker(action=Marker.DELETEALL)]
-        for i, capsule in enumerate(robot.capsules):
+        for i, capsule in enumerate(itertools.compress(robot.capsules, robot.moved)):
             marker = Marker(ns=f'{namespace}/{capsule.name}', id=i, type=Marker.LINE_LIST,
                             points=[Point(), Point()], text=_TEXT.format(*[0.0] * 6))
             marker.header.frame_id = robot.base_frame
@@ -65,9 +68,10 @@ class BodyWriter:
             arm: where it is.
             dq: (n,) how fast its joints move [rad/s, m/s].
         """
-        middles = 0.5 * (arm.segment_start + arm.segment_end)
-        halves = 0.5 * (arm.segment_end - arm.segment_start)
-        twists = (arm.joint_screws * dq @ self.robot.supports.T).T
+        moved = self.robot.moved
+        start, end = arm.segment_start[moved], arm.segment_end[moved]
+        middles, halves = 0.5 * (start + end), 0.5 * (end - start)
+        twists = (arm.joint_screws * dq @ self.robot.supports[moved].T).T
         twists[:, :3] += np.cross(twists[:, 3:], middles)
         stamp = divmod(stamp_ns, NANOSECONDS)
         twists = np.clip(twists, -_FASTEST, _FASTEST)

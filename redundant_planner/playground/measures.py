@@ -34,9 +34,10 @@ class NearestPair(NamedTuple):
 
 def nearest_pair(robot: Robot, arm: Kinematics, scene: Scene) -> NearestPair | None:
     """Return what is nearest to each other; None without obstacles or link shapes."""
-    if not scene.names or not robot.capsules:
+    if not scene.names or not robot.moved.any():
         return None
-    maps = inflated_obstacles(scene, [capsule.radius for capsule in robot.capsules])
+    maps = inflated_obstacles(scene, [capsule.radius for capsule in robot.capsules],
+                              moved=robot.moved)
     pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
     link, obstacle = np.unravel_index(int(pairs.distance.argmin()), pairs.distance.shape)
     here, there = surface_point(

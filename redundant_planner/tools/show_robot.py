@@ -218,8 +218,8 @@ def parameter_file(
         "# The URDF has no acceleration limits for all joints: replace acceleration_max by your\n"
         "# drives' own.\n")
     return ('# Made by show_robot. The capsules contain all of the collision geometry that the '
-            'chain moves,\n# fingers at any opening unless locked_joints locks them. Links that '
-            'stand still, as the base,\n# have none: docs/robots.md says how to add one.\n' + ask
+            'chain moves,\n# fingers at any opening unless locked_joints locks them, and what is '
+            'fixed to the base, large\n# links excepted (docs/robots.md, Link shapes).\n' + ask
             + ('' if not start else
             '# A simulated arm (fake_hardware_node, mujoco_hardware_node) starts at '
             'initial_positions.\n') + '# The limits, and where each was from when this was '

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import itertools
 from pathlib import Path
 import re
 import shutil
@@ -65,7 +66,8 @@ def test_every_corner_of_an_arms_geometry_is_inside(file, tip):
                           for c in fit.capsules], axis=0)
         assert outside.max() <= 0.0, piece.link
     ratios = [fit.ratio for fit in fits.values()]
-    assert np.median(ratios) < 2.3 and all(len(fit.capsules) < 5 for fit in fits.values())
+    assert np.median(ratios) < 2.3 and all(
+        len(fits[name].capsules) < 5 for name in robot.joint_names)
 
 
 HANDS = {'panda_description/urdf/panda.urdf': 'panda_hand',
@@ -321,6 +323,50 @@ def test_a_link_that_is_seen_but_has_no_collision_geometry_is_named():
     said = []
     build_robot(RobotParameters(tip_frame='tip', axes=('vx', 'vy')), text, {}, warn=said.append)
     assert said == ["no collision geometry, so nothing keeps obstacles away: 'link3'"]
+
+
+def box(*size):
+    return f'<collision><geometry><box size="{" ".join(map(str, size))}"/></geometry></collision>'
+
+
+def with_links_that_stand_still(links):
+    """A planar arm: name → (parent, kind of joint, collision elements) of more links."""
+    return planar_urdf().replace('</robot>', ''.join(
+        f'<link name="{name}">{geometry}</link>'
+        f'<joint name="{name}_joint" type="{kind}"><parent link="{parent}"/><child link="{name}"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        for name, (parent, kind, geometry) in links.items()) + '</robot>').replace(
+            '<link name="link2"/>', f'<link name="link2">{box(0.3, 0.1, 0.1)}</link>')
+
+
+@pytest.mark.first_alone
+def test_what_is_fixed_to_the_base_is_covered_closely_or_named():
+    text = with_links_that_stand_still({
+        'socket': ('base', 'fixed', box(0.2, 0.2, 0.15)),
+        'chest': ('socket', 'fixed', box(0.3, 0.45, 0.4)),
+        'table': ('base', 'fixed', box(1.5, 0.8, 0.02)),
+        # May come to stand elsewhere.
+        'other_arm': ('base', 'revolute', box(0.1, 0.1, 0.1))})
+    said = []
+    robot = build_robot(RobotParameters(tip_frame='tip', axes=('vx', 'vy')), text, {},
+                        warn=said.append)
+    frames = [capsule.frame for capsule in robot.capsules]
+    assert set(itertools.compress(frames, ~robot.moved)) == {'socket'}
+    names = {capsule.name.partition('_')[0] for capsule in
+             itertools.compress(robot.capsules, ~robot.moved)}
+    assert names == {'socket', 'chest'}
+    assert len(said) == 1 and "keeps the arm off them: 'table';" in said[0]
+    # No point of a capsule is far out of the boxes.
+    still = [piece for piece in collision_pieces(robot, None) if piece.joint == robot.base_frame]
+    corners = {piece.link: piece.points for piece in still}
+    random = np.random.default_rng(0)
+    for capsule in itertools.compress(robot.capsules, ~robot.moved):
+        half = corners[capsule.name.partition('_')[0]].max(axis=0)
+        direction = random.normal(size=(2000, 3))
+        direction *= capsule.radius / np.linalg.norm(direction, axis=1)[:, None]
+        for end in (capsule.start, capsule.end):
+            assert np.linalg.norm(
+                np.maximum(np.abs(end + direction) - half, 0.0), axis=1).max() < 0.102
 
 
 def test_more_collision_elements_than_can_be_fitted_in_time_are_refused():

@@ -79,7 +79,7 @@ def test_the_xarm_plans_with_its_capsules_fitted(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     urdf = EXAMPLE_ROBOTS / 'xarm_description' / 'urdf' / 'xarm7.urdf'
     robot = load_robot(ROBOTS / 'xarm7.yaml', urdf=str(urdf))
-    assert robot.n == 7 and len(robot.capsules) == 7
+    assert robot.n == 7 and len(robot.capsules) == 8
     start = np.array([0.0, -0.5, 0.0, 0.9, 0.0, 1.4, 0.0])
     ball = Obstacle('ball', np.array([0.25, 0.12, 0.45]), np.full(3, 0.04))
     twist = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])

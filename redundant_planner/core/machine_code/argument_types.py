@@ -12,8 +12,9 @@ from numba import types
 _ARRAYS = {
     'Vector': (types.float64, 1), 'Matrix': (types.float64, 2), 'Stack': (types.float64, 3),
     'Stacks': (types.float64, 4), 'Indices': (types.intp, 1), 'IndexPairs': (types.intp, 2),
-    'Flags': (types.boolean, 2), 'OutVector': (types.float64, 1),
-    'OutMatrix': (types.float64, 2), 'OutStack': (types.float64, 3)}
+    'Flags': (types.boolean, 1), 'FlagMatrix': (types.boolean, 2),
+    'OutVector': (types.float64, 1), 'OutMatrix': (types.float64, 2),
+    'OutStack': (types.float64, 3)}
 SCALARS = {'float': types.float64, 'int': types.intp, 'bool': types.boolean}
 LOCAL = '<locals>'  # in the qualified names of functions within functions
 

@@ -224,6 +224,10 @@ def measure_unless(
     for obstacle in range(count):
         ellipsoids += obstacles.shapes[obstacle] == ELLIPSOID
     for link in range(len(start)):
+        if not obstacles.moved[link]:
+            pairs.distance[link], pairs.normalized_distance[link] = np.inf, np.inf
+            pairs.parameter[link] = 0.0
+            continue
         here, there = place(start, link), place(end, link)
         # As if all of them were ellipsoids: without a branch it is done for several at once.
         for obstacle in range(count if ellipsoids > 0 else 0):

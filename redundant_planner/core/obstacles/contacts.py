@@ -108,8 +108,8 @@ def contacts(
     if not scene.names or not capsules:
         return ()
     pairs = link_clearance(
-        inflated_obstacles(scene, [c.radius for c in capsules]), arm.segment_start,
-        arm.segment_end, enough=0.0)
+        inflated_obstacles(scene, [c.radius for c in capsules], moved=robot.moved),
+        arm.segment_start, arm.segment_end, enough=0.0)
     may_touch = np.tile(scene.shapes == HALF_SPACE, (len(capsules), 1))
     flags = allowed.among(scene.names)
     if flags is not None:

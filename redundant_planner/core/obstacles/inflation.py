@@ -19,6 +19,7 @@ import numpy.typing as npt
 from redundant_planner.core.kernels import (
     compiled,
     entry,
+    FlagMatrix,
     Flags,
     Indices,
     kernel,
@@ -94,6 +95,8 @@ class InflatedObstacles(NamedTuple):
             contacts that are allowed.
         twists: (6, k) velocities of the centres, and angular velocities, base frame [m/s, rad/s].
         speeds: (k,) the fastest that any point of an obstacle moves [m/s].
+        moved: (c,) whether a joint moves the link. What comes close to others is not the arm's
+            doing: they are infinitely far from everything.
     """
 
     shapes: Indices
@@ -104,9 +107,10 @@ class InflatedObstacles(NamedTuple):
     inflation: Matrix
     inverse: Stack
     smallest: Matrix
-    may_touch: Flags
+    may_touch: FlagMatrix
     twists: Matrix
     speeds: Vector
+    moved: Flags
 
 
 class _Growth(NamedTuple):
@@ -114,7 +118,7 @@ class _Growth(NamedTuple):
 
     radii: Vector
     lead: float
-    contacts: Flags
+    contacts: FlagMatrix
     margin: float
 
 
@@ -123,7 +127,7 @@ _NO_CONTACTS = np.zeros((0, 0), bool)
 
 def inflated_obstacles(
     scene: Scene, radii: npt.ArrayLike, lead: float = 0.0, chosen: Indices | None = None, *,
-    contacts: Flags | None = None, margin: float = 0.0,
+    contacts: FlagMatrix | None = None, margin: float = 0.0, moved: Flags | None = None,
 ) -> InflatedObstacles:
     """Inflate a scene's obstacles by the radii of links.
 
@@ -134,6 +138,7 @@ def inflated_obstacles(
         chosen: (k,) indices of the obstacles to take; all if None.
         contacts: (c, all obstacles) which pairs may touch; none if None.
         margin: the part of the radii that these do not keep, nor the lead [m].
+        moved: (c,) which links a joint moves, `Robot.moved`; all if None.
     """
     rows = slice(None) if chosen is None else chosen
     shapes = scene.shapes[rows]
@@ -141,6 +146,7 @@ def inflated_obstacles(
         np.array(radii, dtype=float), lead,
         _NO_CONTACTS if contacts is None else np.array(contacts[:, rows], order='C'), margin)
     inflated = _room_for(len(growth.radii), len(shapes))
+    inflated.moved[:] = True if moved is None else moved
     _inflate(shapes, scene.centers[rows], scene.rotations[rows], scene.half_extents[rows],
              scene.velocities[rows], scene.angular_velocities[rows], growth, inflated)
     return inflated
@@ -152,7 +158,7 @@ def _room_for(links: int, count: int) -> InflatedObstacles:
         np.empty(count, np.intp), np.empty((3, count)), np.empty((3, 3, count)),
         np.empty((count, 3)), np.empty(count), np.empty((links, count)),
         np.empty((links, 3, count)), np.empty((links, count)), np.empty((links, count), np.bool_),
-        np.empty((6, count)), np.empty(count))
+        np.empty((6, count)), np.empty(count), np.empty(links, np.bool_))
 
 
 @entry

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from redundant_planner.core.kernels import (
     compiled,
     entry,
+    FlagMatrix,
     Flags,
     Indices,
     kernel,
@@ -128,17 +129,19 @@ class Kept(NamedTuple):
         margin: that [m].
         lead: as for `inflated_obstacles` [s].
         contacts: (c, all obstacles) which pairs may touch; None for no pair.
+        moved: (c,) which links a joint moves; None for all.
     """
 
     radii: Array
     margin: float
     lead: float
-    contacts: Flags | None = None
+    contacts: FlagMatrix | None = None
+    moved: Flags | None = None
 
     def inflated(self, scene: Scene, chosen: Indices | None = None) -> InflatedObstacles:
         """Return obstacles of a scene, inflated."""
         return inflated_obstacles(scene, self.radii, self.lead, chosen, contacts=self.contacts,
-                                  margin=self.margin)
+                                  margin=self.margin, moved=self.moved)
 
 
 def everything(scene: Scene, kept: Kept, arm: Kinematics) -> Surroundings:
@@ -170,16 +173,18 @@ def surroundings(
         reach: (c,) how near an obstacle must be to matter [m].
         course: how far ahead obstacles are looked at in their course, at most [s].
     """
-    reaches = _Reaches(
-        arm.segment_start, arm.segment_end, kept.radii, reach + _EXTRA_RANGE, kept.lead)
+    moved = slice(None) if kept.moved is None else kept.moved
+    reaches = _Reaches(arm.segment_start[moved], arm.segment_end[moved], kept.radii[moved],
+                       reach[moved] + _EXTRA_RANGE, kept.lead)
     near, nearest, beyond = _chosen(
         scene.shapes, scene.centers, scene.rotations, scene.half_extents, scene.speeds, reaches,
         _Wanted(course, MOST_NEAR, MOST_AHEAD))
-    if len(near) == len(scene.names):
-        reaches.range[:] = np.inf
+    ranges = np.full(len(kept.radii), np.inf)
+    if len(near) < len(scene.names):
+        ranges[moved] = reaches.range + beyond
     return Surroundings(
         scene, near, kept.inflated(scene, near), nearest, kept.inflated(scene, nearest),
-        arm.segment_start, arm.segment_end, reaches.range + beyond, beyond < 0.0)
+        arm.segment_start, arm.segment_end, ranges, beyond < 0.0)
 
 
 class _Reaches(NamedTuple):

@@ -50,7 +50,7 @@ class ObstacleWatch:
         self._contacts = AllowedContacts(parameters.allowed_contacts, robot)
         self._kept = Kept(
             np.array([c.radius for c in robot.capsules]) + parameters.clearance_margin,
-            parameters.clearance_margin, parameters.clearance_lead)
+            parameters.clearance_margin, parameters.clearance_lead, moved=robot.moved)
         self._scene: Scene | None = None
         self.fastest = 0.0
         self.reset()

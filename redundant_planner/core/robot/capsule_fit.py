@@ -33,6 +33,10 @@ _LARGEST_GUESS_RATIO = 1.5
 _CUT_SHARES = (0.3, 0.5, 0.7)
 # Of the function that the search for the best axis minimises.
 _MOST_EVALUATIONS = 800
+# What stands still may be covered by capsules that stick out of it this far [m], and by so many.
+_LARGEST_OVERHANG, _MOST_PARTS = 0.1, 8
+# Directions in which that is measured.
+_DIRECTIONS = 500
 # Bodies thinner than this have no hull with a volume [m].
 _LEAST_THICKNESS = 1e-6
 
@@ -189,6 +193,45 @@ def fit_body(body: Body, most: int = 3) -> list[tuple[Shape, Array]]:
     if not _pays(sum(shape.volume for shape, _ in cut), whole.volume):
         return [(whole, body.corners)]
     return cut
+
+
+def fit_closely(body: Body) -> list[tuple[Shape, Array]] | None:
+    """Return capsules that cover a convex body together and stick out of it by little.
+
+    A link that moves is better kept too far away than not at all. A base stands where the arm
+    works: a capsule around a table would take all the room above it.
+
+    Returns:
+        As `fit_body`; None if they would stick out too far, or be too many.
+    """
+    directions = _even_directions(_DIRECTIONS)
+    extent = (body.corners @ directions.T).max(axis=0)
+    parts, found = [body], list[tuple[Shape, Array]]()
+    while parts:
+        part = parts.pop()
+        if len(found) + len(parts) >= _MOST_PARTS:
+            return None
+        capsule = fit_capsule(part.corners)
+        reach = np.maximum(directions @ capsule.start, directions @ capsule.end) + capsule.radius
+        if (reach - extent).max() <= _LARGEST_OVERHANG:
+            found.append((capsule, part.corners))
+            continue
+        if not len(part.edges):
+            return None
+        axes = _principal_axes(part.corners)
+        heights = part.corners @ axes.T
+        longest = int(np.ptp(heights, axis=0).argmax())
+        middle = 0.5 * (heights[:, longest].min() + heights[:, longest].max())
+        parts += map(convex_hull, _cut(part, axes[longest], float(middle)))
+    return found
+
+
+def _even_directions(count: int) -> Array:
+    """Return unit vectors (k, 3), spread evenly on a spiral."""
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
+    around = np.sqrt(1.0 - z * z)
+    return np.column_stack((around * np.cos(turn), around * np.sin(turn), z))
 
 
 def _pays(cut: float, whole: float) -> bool:

@@ -66,6 +66,8 @@ class Robot:
         weights: (n,) how unwilling the joints are to move.
         capsules: the link shapes, then those of what the hand holds.
         self_pairs: (p, 2) indices of the capsules that can run into each other.
+        moved: (c,) whether any joint moves a capsule. Those of a base that stands still keep the
+            other links away; what obstacles do about them is not the arm's doing.
         supports: (c, n) 1 where a joint moves a capsule, else 0.
         lever_arm_bounds: (c, n) the fastest any point of a capsule moves per unit of joint
             velocity, at any posture: a bound [m/rad, 1 for prismatic joints].
@@ -379,6 +381,8 @@ class Robot:
         self._shapes = [part.shape for part in new_kinematics(
             np.zeros(self.n), self.m, len(self.tips), len(self.capsules))[1:]]
         self.supports = _read_only(self.chain.supports.copy())
+        self.moved = self.chain.capsule_joint > 0
+        self.moved.setflags(write=False)
         self.lever_arm_bounds = _read_only(shapes.lever_arm_bounds(
             self._model, self.chain.capsule_joint, self.chain.capsule_ends))
 

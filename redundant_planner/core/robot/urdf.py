@@ -100,6 +100,21 @@ class Urdf:
             link = above[link].parent
         return path[::-1]
 
+    def rigid_with(self, link: str) -> list[str]:
+        """Return the links that only fixed joints lie between and this one, which comes first."""
+        neighbours: dict[str, list[str]] = {}
+        for joint in self.joints:
+            if joint.kind == 'fixed':
+                neighbours.setdefault(joint.parent, []).append(joint.child)
+                neighbours.setdefault(joint.child, []).append(joint.parent)
+        found = {link: None}
+        ahead = [link]
+        while ahead:
+            ahead = [other for near in ahead for other in neighbours.get(near, ())
+                     if other not in found]
+            found.update(dict.fromkeys(ahead))
+        return list(found)
+
     def for_pinocchio(self) -> str:
         """Return the kinematics as a URDF for Pinocchio: one coordinate per movable joint."""
         robot = ElementTree.Element('robot', name=self.name)
