@@ -34,9 +34,7 @@ _CUT_SHARES = (0.3, 0.5, 0.7)
 # Of the function that the search for the best axis minimises.
 _MOST_EVALUATIONS = 800
 # What stands still may be covered by capsules that stick out of it this far [m], and by so many.
-_LARGEST_OVERHANG, _MOST_PARTS = 0.1, 8
-# Directions in which that is measured.
-_DIRECTIONS = 500
+_LARGEST_OVERHANG, _MOST_PARTS = 0.1, 16
 # Bodies thinner than this have no hull with a volume [m].
 _LEAST_THICKNESS = 1e-6
 
@@ -204,16 +202,17 @@ def fit_closely(body: Body) -> list[tuple[Shape, Array]] | None:
     Returns:
         As `fit_body`; None if they would stick out too far, or be too many.
     """
-    directions = _even_directions(_DIRECTIONS)
-    extent = (body.corners @ directions.T).max(axis=0)
+    # A flat body has no inside: a capsule sticks out of it by its radius at most.
+    planes = ConvexHull(body.corners).equations if len(body.edges) else np.zeros((1, 4))
     parts, found = [body], list[tuple[Shape, Array]]()
     while parts:
         part = parts.pop()
         if len(found) + len(parts) >= _MOST_PARTS:
             return None
         capsule = fit_capsule(part.corners)
-        reach = np.maximum(directions @ capsule.start, directions @ capsule.end) + capsule.radius
-        if (reach - extent).max() <= _LARGEST_OVERHANG:
+        ends = np.array((capsule.start, capsule.end))
+        outside = float((ends @ planes[:, :3].T + planes[:, 3]).max())
+        if outside + capsule.radius <= _LARGEST_OVERHANG:
             found.append((capsule, part.corners))
             continue
         if not len(part.edges):
@@ -224,14 +223,6 @@ def fit_closely(body: Body) -> list[tuple[Shape, Array]] | None:
         middle = 0.5 * (heights[:, longest].min() + heights[:, longest].max())
         parts += map(convex_hull, _cut(part, axes[longest], float(middle)))
     return found
-
-
-def _even_directions(count: int) -> Array:
-    """Return unit vectors (k, 3), spread evenly on a spiral."""
-    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    turn = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
-    around = np.sqrt(1.0 - z * z)
-    return np.column_stack((around * np.cos(turn), around * np.sin(turn), z))
 
 
 def _pays(cut: float, whole: float) -> bool:
