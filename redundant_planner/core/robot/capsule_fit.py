@@ -200,8 +200,12 @@ def fit_closely(body: Body) -> list[tuple[Shape, Array]] | None:
     works: a capsule around a table would take all the room above it.
 
     Returns:
-        As `fit_body`; None if they would stick out too far, or be too many.
+        As `fit_body`; None if they would stick out too far, or be too many, and of a plate that is
+        thinner than they may stick out, unless it is small.
     """
+    thin, wide, _ = np.sort(np.ptp(body.corners @ _principal_axes(body.corners).T, axis=0))
+    if thin < _LARGEST_OVERHANG and wide > 2.0 * _LARGEST_OVERHANG:
+        return None
     # A flat body has no inside: a capsule sticks out of it by its radius at most.
     planes = ConvexHull(body.corners).equations if len(body.edges) else np.zeros((1, 4))
     parts, found = [body], list[tuple[Shape, Array]]()
