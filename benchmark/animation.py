@@ -101,8 +101,8 @@ def depths(robot: Robot, obstacles: Sequence[Obstacle], q: Array) -> Array:
     """Return the smallest clearance ρ (c,) of each link to any obstacle, negative inside."""
     arm = robot.kinematics(q)
     radii = np.array([capsule.radius for capsule in robot.capsules])
-    pairs = link_clearance(
-        inflated_obstacles(Scene.of(obstacles), radii), arm.segment_start, arm.segment_end)
+    maps = inflated_obstacles(Scene.of(obstacles), radii, moved=robot.moved)
+    pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
     return pairs.normalized_distance.min(axis=1)
 
 

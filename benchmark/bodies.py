@@ -78,7 +78,7 @@ def meshes_of(robot: Robot, urdf: Path) -> Bodies:
     Links that shall not meet are those whose capsules shall not.
 
     Args:
-        robot: the arm; its first capsule's link and all links after it count, the base does not.
+        robot: the arm.
         urdf: the file it was read from: its packages lie in a folder above.
     """
     text = with_meshes_in_metres(urdf.read_text(), urdf.parent)
@@ -94,12 +94,12 @@ def meshes_of(robot: Robot, urdf: Path) -> Bodies:
     if tuple(model.names)[1:] != robot.joint_names:
         raise ValueError(f'{urdf} has the joints {tuple(model.names)[1:]}, the arm has '
                          f'{robot.joint_names}')
-    moving = [item for item in geometry.geometryObjects if item.parentJoint > 0]
-    links = tuple(model.frames[item.parentFrame].name for item in moving)
+    items = geometry.geometryObjects
+    links = tuple(model.frames[item.parentFrame].name for item in items)
     return Bodies(
-        model, links, links, tuple(int(item.parentJoint) for item in moving),
-        tuple(item.placement for item in moving),
-        tuple(_convex(item.geometry) for item in moving), _link_pairs(robot, links))
+        model, links, links, tuple(int(item.parentJoint) for item in items),
+        tuple(item.placement for item in items),
+        tuple(_convex(item.geometry) for item in items), _link_pairs(robot, links))
 
 
 def _link_pairs(robot: Robot, links: tuple[str, ...]) -> Pairs:

@@ -79,6 +79,8 @@ class Motion:
     def to_obstacles(self, obstacles: Sequence[Obstacle], dt: float) -> Approach:
         """Return the nearest approach to obstacles, which move on by their velocities.
 
+        Of the bodies that a joint moves: a base may stand on what it likes.
+
         Args:
             obstacles: at the first posture.
             dt: between two postures [s].
@@ -89,7 +91,7 @@ class Motion:
             speed = np.linalg.norm(obstacle.velocity) + np.linalg.norm(
                 obstacle.half_extents) * np.linalg.norm(obstacle.angular_velocity)
             its_way = speed * dt * np.arange(self._count)
-            for body, name in enumerate(self.bodies.names):
+            for body, name in self._moved():
                 distance, index = self._nearest(
                     body, shape, place, self._ways[body] + its_way, nearest.distance)
                 if distance < nearest.distance:
@@ -110,8 +112,8 @@ class Motion:
     def to_other(self, other: Motion) -> Approach:
         """Return the nearest approach to another arm, which moves at the same time."""
         nearest = NOTHING
-        for second, name in enumerate(other.bodies.names):
-            for first in range(len(self.bodies.names)):
+        for second, name in other._moved():
+            for first, _ in self._moved():
                 distance, index = self._nearest(
                     first, other.bodies.shapes[second],
                     lambda i, body=second: other._at(body, i),
@@ -119,6 +121,11 @@ class Motion:
                 if distance < nearest.distance:
                     nearest = Approach(distance, self.bodies.names[first], name, index)
         return nearest
+
+    def _moved(self) -> list[tuple[int, str]]:
+        """Return the indices and names of the bodies that a joint moves."""
+        return [(body, name) for body, (name, joint) in enumerate(
+            zip(self.bodies.names, self.bodies.joints)) if joint > 0]
 
     def _at(self, body: int, i: int) -> coal.Transform3s:
         return coal.Transform3s(self._rotations[body, i], self._positions[body, i])

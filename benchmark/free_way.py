@@ -41,7 +41,8 @@ class FreeWay:
         p = PlannerParameters()
         self._robot, self._capsules, self._obstacles = robot, capsules, obstacles
         self._radii = np.array([c.radius for c in robot.capsules])
-        self._inflated = inflated_obstacles(Scene.of(obstacles), self._radii + margin)
+        self._inflated = inflated_obstacles(
+            Scene.of(obstacles), self._radii + margin, moved=robot.moved)
         self._self_margin = p.clearance_self_margin
         self._low = robot.position_min + p.limits_position_margin
         self._high = robot.position_max - p.limits_position_margin

@@ -156,7 +156,8 @@ def sections(
     robot: Robot, start: Array, obstacles: list[Obstacle], ticks: int,
 ) -> dict[str, float]:
     """Return where a tick's time goes, each part by itself, called from Python [us]."""
-    maps = inflated_obstacles(Scene.of(obstacles), [c.radius for c in robot.capsules])
+    maps = inflated_obstacles(Scene.of(obstacles), [c.radius for c in robot.capsules],
+                              moved=robot.moved)
     arm, p = robot.kinematics(start), PlannerParameters()
     fastest = robot.acceleration_max * _DT  # in the first tick from rest
     speeds = robot.lever_arm_bounds @ fastest

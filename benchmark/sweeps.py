@@ -107,7 +107,8 @@ def scene_of(robot: Robot, seed: int) -> SweepScene:
         radius = random.uniform(*_SIZES)
         course = center + np.outer(np.linspace(0.0, _LONGEST, 300), velocity)
         ball = Obstacle(f'ball{len(balls)}', center, np.full(3, radius), velocity=velocity)
-        maps = inflated_obstacles(Scene.of([ball]), [c.radius for c in robot.capsules])
+        maps = inflated_obstacles(Scene.of([ball]), [c.radius for c in robot.capsules],
+                                  moved=robot.moved)
         apart = link_clearance(maps, arm.segment_start, arm.segment_end).distance.min()
         if apart > _CLEAR_AT_FIRST and (
                 np.linalg.norm(course[:, None] - column, axis=2).min() > _FROM_COLUMN):

@@ -141,7 +141,8 @@ def problem_of(robot: Robot, seed: int, cone: Cone | None = None) -> Problem:
 
 def _distance(robot: Robot, q: Array, obstacle: Obstacle) -> float:
     arm = robot.kinematics(q)
-    maps = inflated_obstacles(Scene.of([obstacle]), [c.radius for c in robot.capsules])
+    maps = inflated_obstacles(Scene.of([obstacle]), [c.radius for c in robot.capsules],
+                              moved=robot.moved)
     return float(link_clearance(maps, arm.segment_start, arm.segment_end).distance.min())
 
 

@@ -85,6 +85,7 @@ class _Config(CBFConfig):
         self._tip = jnp.array(tip.rotation), jnp.array(tip.translation)
         self._capsules = [in_joint(robot, capsule) for capsule in robot.capsules]
         self._radii = jnp.array([max(c.radius, 1e-5) for c in robot.capsules])
+        self._moved = np.flatnonzero(robot.moved)
         self._kinds = [(o.shape, tuple(o.half_extents.tolist())) for o in obstacles]
         self._pairs = robot.self_pairs
         self._margins = margin, self_margin
@@ -114,8 +115,9 @@ class _Config(CBFConfig):
             left.append(capsule_gap(starts[one], ends[one], starts[other], ends[other])
                         - self._radii[one] - self._radii[other] - self._margins[1])
         if self._kinds:
-            gaps = to_shapes(starts, ends, self._kinds, centers, rotations)
-            left.append((gaps - self._radii[None, :] - self._margins[0]).ravel())
+            moved = self._moved
+            gaps = to_shapes(starts[moved], ends[moved], self._kinds, centers, rotations)
+            left.append((gaps - self._radii[None, moved] - self._margins[0]).ravel())
         return jnp.concatenate(left)
 
     def alpha(self, h, *args):  # type: ignore

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 
 import mink
 import mujoco
@@ -44,7 +45,8 @@ class Mink:
         ]
         others = [f'obstacle{i}' for i in range(len(obstacles))]
         own = [([links[i]], [links[j]]) for i, j in robot.self_pairs]
-        for pairs, distance in (([(links, others)], margin), (own, self_margin)):
+        moved = list(compress(links, robot.moved))
+        for pairs, distance in (([(moved, others)], margin), (own, self_margin)):
             if pairs and all(first and second for first, second in pairs):
                 self._limits.append(mink.CollisionAvoidanceLimit(
                     self._model, pairs, minimum_distance_from_collisions=distance,

@@ -98,6 +98,8 @@ class Neo:
         rows, most = [], []
         request = coal.DistanceRequest(True)
         for joint, placement, shape in zip(bodies.joints, bodies.placements, bodies.shapes):
+            if joint == 0:
+                continue
             at = data.oMi[joint] * placement
             place = coal.Transform3s(at.rotation, at.translation)
             jacobian = None

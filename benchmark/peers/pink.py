@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 
 import coal
 import numpy as np
@@ -51,7 +52,7 @@ class Pink:
                 f'obstacle{i}', 0, pin.SE3(obstacle.rotation, obstacle.center),
                 shape_of(obstacle)))
             self._obstacle_ids.append(body)
-            for link in links:
+            for link in compress(links, robot.moved):
                 geometry.addCollisionPair(pin.CollisionPair(link, body))
         self._configuration = pink.Configuration(
             self._model, self._model.createData(), pin.neutral(self._model),

@@ -10,7 +10,7 @@ objective is left out, as in pink: with many pairs it holds the arm back from it
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, compress
 from pathlib import Path
 import tempfile
 
@@ -65,7 +65,8 @@ class RoboPlan:
         names = [f'{kind}{i}' for kind in ('link', 'own') for i in links]
         others = [f'obstacle{i}' for i in range(self._count)]
         self._scene.setCollisions(list(combinations(names + others, 2)), False)
-        pairs = [(f'link{i}', other) for i in links for other in others]
+        pairs = [(f'link{i}', other) for i in compress(links, robot.moved)
+                 for other in others]
         pairs += [(f'own{i}', f'own{j}') for i, j in robot.self_pairs.tolist()]
         if pairs:
             self._scene.setCollisions(pairs, True)

@@ -119,7 +119,7 @@ def _fit(robot: Robot, pieces: Iterable[Piece], openings: Openings) -> Iterable[
     by_joint: dict[str, list[Piece]] = {}
     for piece in pieces:
         by_joint.setdefault(piece.joint, []).append(piece)
-    for joint in (name for name in (*robot.joint_names, robot.base_frame) if name in by_joint):
+    for joint in (name for name in (robot.base_frame, *robot.joint_names) if name in by_joint):
         group = by_joint[joint]
         base = _base_of(robot, joint, [piece.link for piece in group], openings)
         shapes, owners, volume, corners, bulge = [], [], 0.0, 0, 0.0
