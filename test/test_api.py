@@ -218,7 +218,7 @@ def test_obstacles_in_a_list_are_those_of_a_scene_whatever_list_it_is(paper_arm)
 @pytest.mark.skipif(PANDA_URDF is None, reason='no Panda URDF')
 def test_robots_that_come_with_the_package_are_found_by_name():
     panda = Robot.from_file('panda')
-    assert panda.tip_frame == 'panda_hand' and len(panda.capsules) == 9
+    assert panda.tip_frame == 'panda_hand' and len(panda.capsules) == 10
     np.testing.assert_array_equal(Robot.from_file('paper_2p5r').position_max,
                                   Robot.from_file(PAPER_ARM).position_max)
     tip = panda.kinematics(panda.ready).tip_position

@@ -38,7 +38,8 @@ def test_a_seed_gives_the_same_task_and_its_start_is_clear(panda, moving):
         assert 1 <= len(task.obstacles) <= 3
         arm = panda.kinematics(task.start)
         maps = inflated_obstacles(
-            Scene.of(task.obstacles), [c.radius + 0.03 for c in panda.capsules])
+            Scene.of(task.obstacles), [c.radius + 0.03 for c in panda.capsules],
+            moved=panda.moved)
         pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
         assert pairs.normalized_distance.min() > 0.0
         assert any(o.velocity.any() for o in task.obstacles) == moving

@@ -158,7 +158,7 @@ def test_a_pushed_arm_comes_back_smoothly(panda):
 
 def test_the_null_space_is_handed_over_on_the_way_into_something_and_back_on_the_way_out(panda):
     # A ball where the forearm is about to be.
-    up, link = np.array([0.0, 0.0, 0.08, 0.0, 0.0, 0.0]), 4
+    up, link = np.array([0.0, 0.0, 0.08, 0.0, 0.0, 0.0]), 5
     assert panda.capsules[link].name == 'link5'
     plain, _ = drive(Planner(panda, PlannerParameters()), PANDA_READY, up, seconds=2.0)
     before, after = (0.5 * (arm.segment_start[link] + arm.segment_end[link])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from conftest import make_panda
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from redundant_planner.perception.scene_contacts import allowed_contacts, matrix
 from redundant_planner.perception.scene_records import HeldObject
 
 PANDA = make_panda()
-LINKS = sorted({capsule.frame for capsule in PANDA.capsules})
+LINKS = sorted({c.frame for c in itertools.compress(PANDA.capsules, PANDA.moved)})
 
 
 def attached(link, *touch_links):

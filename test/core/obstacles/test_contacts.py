@@ -104,7 +104,7 @@ def test_names_of_obstacles_may_be_namespaces_and_those_of_links_capsules_or_lin
     for entry, links, count in (
             ('panda_hand:table', {'hand', 'fingers'}, 2), ('fingers:table', {'fingers'}, 2),
             ('hand:table/7', {'hand'}, 1), ('attached:table', set(), 0),
-            ('panda_link0:table', set(), 0)):
+            ('panda_link0:table', {'base'}, 2)):
         flags = AllowedContacts([entry], panda).among(names)
         assert {panda.capsules[i].name for i in np.flatnonzero(flags.any(axis=1))} == links
         assert flags.any(axis=0).sum() == count

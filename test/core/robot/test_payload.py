@@ -82,7 +82,7 @@ def test_what_is_held_is_kept_from_all_links_but_the_hand(panda):
     held = panda.holding([ROD])
     assert [c.name for c in held.capsules[len(panda.capsules):]] == ['attached/rod']
     others = {held.capsules[i].frame for i, j in held.self_pairs if j == len(panda.capsules)}
-    assert others == {f'panda_link{i}' for i in range(1, 7)}
+    assert others == {f'panda_link{i}' for i in range(7)}
     kept = {tuple(pair) for pair in panda.self_pairs} - {tuple(p) for p in held.self_pairs}
     assert not kept and len(panda.capsules) == len(held.capsules) - 1
     # An empty hand is the arm as it was.
