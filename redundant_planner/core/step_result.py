@@ -21,13 +21,14 @@ class Nearest(NamedTuple):
         link, obstacle: their names.
         level: S of Eq. 6 over the whole link, 0 at the safety margin and at the distance kept
             from an obstacle for its motion.
-        distance: [m] not more than the true distance beyond the margin; negative inside.
+        beyond_margin: how much further apart than the margin they are, at least [m]; negative
+            within it. `PaperPlanner` keeps no margin: its distance.
     """
 
     link: str
     obstacle: str
     level: float
-    distance: float
+    beyond_margin: float
 
 
 class TipResult(NamedTuple):

@@ -67,5 +67,5 @@ class CommandedPositions:
         most = lead + self._watch.travel
         if nearest is not None:
             reach = float((planner.robot.lever_arm_bounds @ most).max())
-            most = most * min(1.0, max(nearest.distance, 0.0) / max(reach, _LITTLE))
+            most = most * min(1.0, max(nearest.beyond_margin, 0.0) / max(reach, _LITTLE))
         return self._command.advance(dq, self._period, planner.posture_ahead, most)

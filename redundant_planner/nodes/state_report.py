@@ -207,7 +207,7 @@ def _pair(nearest: Nearest | None) -> str:
 
 
 def _metres(nearest: Nearest | None, more: float = 0.0) -> str:
-    return f'{nearest.distance + more:.4f}' if nearest else 'inf'
+    return f'{nearest.beyond_margin + more:.4f}' if nearest else 'inf'
 
 
 def diagnostics(status: DiagnosticStatus, stamp: object) -> DiagnosticArray:

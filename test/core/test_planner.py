@@ -176,7 +176,7 @@ def test_the_null_space_is_handed_over_on_the_way_into_something_and_back_on_the
             panda.kinematics(q).jacobian @ result.homogeneous, 0.0, atol=1e-9)
         assert result.scale == pytest.approx(1.0) or i % 500 < 20  # takes up speed, turns
         assert (np.abs(result.dq - previous) <= panda.acceleration_max * DT + 1e-9).all()
-        assert result.nearest.distance > 0.0
+        assert result.nearest.beyond_margin > 0.0
         q, previous = q + DT * result.dq, result.dq
     changes = np.diff(shares, prepend=0.0)
     assert shares[0] == 0.0 and max(shares) == 1.0 and shares[-1] == 0.0
@@ -421,7 +421,7 @@ def sweep(robot, path_priority, axis, lead=0.1, speed=0.2):
         scene = Scene.of([Obstacle('ball', center, np.full(3, 0.06), velocity=velocity)])
         results.append(planner.step(q, np.zeros(6), scene, DT))
         q = q + DT * results[-1].dq
-        distances.append(results[-1].nearest.distance)
+        distances.append(results[-1].nearest.beyond_margin)
     errors = [np.linalg.norm(r.path_error[:3]) for r in results]
     return np.array(distances), np.array(errors), results
 
@@ -454,7 +454,7 @@ def test_an_arm_found_inside_an_obstacle_moves_out_and_never_deeper(panda):
     center = 0.5 * (arm.segment_start[link] + arm.segment_end[link]) + [0.05, 0.03, 0.0]
     scene = Scene.of([Obstacle('ball', center, np.full(3, 0.07))])
     _, results = drive(Planner(panda, PlannerParameters()), PANDA_READY, np.zeros(6), scene, 3.0)
-    distances = np.array([r.nearest.distance for r in results])
+    distances = np.array([r.nearest.beyond_margin for r in results])
     assert distances[0] < -0.03
     assert (np.diff(distances) > -1e-5).all()
     assert distances[-1] > -1e-3

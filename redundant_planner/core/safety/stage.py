@@ -13,5 +13,5 @@ class Stage(Enum):
     SLIDING = 'the tip slides along what is in its way'
     BRAKING = 'the arm brakes'
     YIELDING = 'the arm leaves its path to evade'
-    FORCED = 'a clearance could not be kept at the rate asked for'
+    FORCED = "the arm's limits leave too little time to keep a clearance in full"
     STOPPED = 'no problem had a solution: every joint slows down as fast as it may'

@@ -75,7 +75,7 @@ def test_a_hand_slides_along_a_table_without_chatter(panda, method, gap, sinking
     _, results = drive(
         Planner(panda, PlannerParameters(method=method)), PANDA_READY,
         np.array([0.0, 0.15, sinking, 0.0, 0.0, 0.3]), Scene.of([table]), 3.0)
-    assert min(result.nearest.distance for result in results) > -1e-3
+    assert min(result.nearest.beyond_margin for result in results) > -1e-3
     assert reversals(panda, results) <= 20
 
 

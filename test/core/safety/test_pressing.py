@@ -45,5 +45,5 @@ def test_a_pressed_arm_neither_shakes_nor_gives_up_its_clearance(seed, method):
     commands = np.array([result.dq for result in motion.results])
     assert motion.results[-1].scale < 0.01
     assert Stage.FORCED not in {result.stage for result in motion.results}
-    assert min(result.nearest.distance for result in motion.results) > -1e-6
+    assert min(result.nearest.beyond_margin for result in motion.results) > -1e-6
     assert reversals(np.diff(commands, axis=0) / DT, PANDA.acceleration_max) <= 40

@@ -56,7 +56,7 @@ class Run:
     def assert_safe(self):
         velocities = np.array([result.dq for result in self.results])
         assert limit_violation(PANDA, np.array(self.positions), velocities, DT) == 0.0
-        assert min(r.nearest.distance for r in self.results if r.nearest) > -1e-4
+        assert min(r.nearest.beyond_margin for r in self.results if r.nearest) > -1e-4
 
 
 def test_pressed_onto_a_table_the_tip_goes_on_along_it():
@@ -132,12 +132,12 @@ def test_any_command_among_obstacles_is_safe(direction, seed):
         Obstacle(str(i), BEGIN.tip_position + random.choice([-1.0, 1.0], 3)
                  * random.uniform(0.16, 0.3, 3), (0.05, 0.05, 0.05)) for i in range(3))]
     run = Run(obstacles, path_priority='slide')
-    begin = min(run.planner.step(run.q, np.zeros(6), run.scene, DT).nearest.distance, 0.0)
+    begin = min(run.planner.step(run.q, np.zeros(6), run.scene, DT).nearest.beyond_margin, 0.0)
     run.planner.reset()
     run.go(0.2 * np.array(direction) / np.linalg.norm(direction), 2.0)
     velocities = np.array([result.dq for result in run.results])
     assert limit_violation(PANDA, np.array(run.positions), velocities, DT) == 0.0
-    assert min(r.nearest.distance for r in run.results) > begin - 1e-4
+    assert min(r.nearest.beyond_margin for r in run.results) > begin - 1e-4
 
 
 @pytest.mark.first_alone

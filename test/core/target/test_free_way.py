@@ -157,7 +157,7 @@ def test_what_crosses_the_way_is_let_pass_or_gone_around():
     progress = None
     for i in range(round(12.0 / DT)):
         progress = run.to(target, DT, scene(i * DT))
-        nearest = min(nearest, run.results[-1].nearest.distance)
+        nearest = min(nearest, run.results[-1].nearest.beyond_margin)
         if progress.state is TargetState.REACHED and i * DT > 6.0:
             break
     assert progress.state is TargetState.REACHED

@@ -65,7 +65,7 @@ def test_an_obstacle_in_its_way_is_waited_for_and_then_it_comes_back():
 
     progress = run.to(sampled(away, 30), 6.0, wall)
     assert progress.state is TargetState.BLOCKED and run.results[-1].reason
-    assert min(r.nearest.distance for r in run.results if r.nearest) > 0.0
+    assert min(r.nearest.beyond_margin for r in run.results if r.nearest) > 0.0
     run.to(sampled(lambda t: PANDA_READY + 0.1 * np.sin(t) * turn, 30), 4.0, wall)
     assert np.abs(run.q - PANDA_READY - 0.1 * np.sin(4.0 - LAG) * turn).max() < 0.01
     run.assert_within_limits()
