@@ -182,8 +182,8 @@ class PaperPlanner:
     def _nearest(self, arm: Kinematics, scene: Scene) -> Nearest | None:
         """Return the nearest pair of whole links and obstacles, without any margin."""
         capsules = self.robot.capsules
-        pairs = link_clearance(inflated_obstacles(scene, [c.radius for c in capsules]),
-                               arm.segment_start, arm.segment_end)
+        maps = inflated_obstacles(scene, [c.radius for c in capsules], moved=self.robot.moved)
+        pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
         if not pairs.distance.size:
             return None
         link, obstacle = np.unravel_index(int(pairs.distance.argmin()), pairs.distance.shape)

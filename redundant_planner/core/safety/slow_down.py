@@ -133,9 +133,10 @@ class SlowDown:
             parts = [(separation, selected(scene, [
                 i for i, name in enumerate(scene.names) if is_named(separation.name, name)]))
                 for separation in self._separations]
-            self._known = scene, [(separation, part, inflated_obstacles(
-                part, self._radii, moved=self._robot.moved))
-                                  for separation, part in parts if part.names]
+            moved = self._robot.moved
+            self._known = scene, [
+                (separation, part, inflated_obstacles(part, self._radii, moved=moved))
+                for separation, part in parts if part.names]
         return self._known[1]
 
     def _fastest(self, arm: Kinematics, dq: Array) -> float:
