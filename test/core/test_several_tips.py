@@ -7,6 +7,7 @@ from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
+from redundant_planner.core.commands import Commands
 from redundant_planner.core.errors import ParameterError, RobotError, StateError
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.self_collision import link_distances
@@ -384,6 +385,14 @@ def test_an_object_goes_to_its_target_and_can_be_let_go():
         q = q + DT * planner.step(q, twists((0.0, 0.05)), [], DT).dq
     moved = BODY.kinematics(q).tip_positions - before
     assert moved[0, 1] > 0.01 and np.abs(moved[1]).max() < 3e-4
+
+
+def test_targets_of_an_object_are_as_old_as_they_were_sent():
+    commands, held = Commands(BODY), Pose(np.array([0.5, 0.0, 0.8]), np.eye(3))
+    commands.couple(BODY.kinematics(START).tips, held)
+    for age in (None, 0.0, 0.03):
+        seen, = commands.checked(np.zeros(6), held, [Sighting(held, age)], (1.0, 1.0)).news
+        assert seen.age == age
 
 
 def test_what_cannot_be_coupled_says_so():

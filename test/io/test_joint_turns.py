@@ -78,6 +78,8 @@ def test_a_sliding_joint_never_turns():
     ('revolute', -6.2, 0.0, 1.0, 1.0 - TURN),
     ('revolute', -6.28, 6.28, -3.0, -3.0),  # both would do
     ('revolute', -3.1, 3.1, 3.14, 3.14),  # a little beyond its limit
+    ('revolute', -6.2, 6.2, 6.25, 6.25),  # too, though a turn from there it would be within
+    ('revolute', -6.2, 6.2, -6.25, -6.25),
     ('revolute', -1.0, 1.0, 2.0, 2.0),  # no turn helps
     ('prismatic', 0.0, 6.2, -1.0, -1.0)])
 def test_at_the_start_a_turn_counts_only_where_the_limits_ask_for_it(

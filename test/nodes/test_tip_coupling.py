@@ -35,7 +35,9 @@ def test_one_tip_holds_nothing_together():
 
 def test_only_a_standing_arm_couples_and_lets_go(coupling):
     for wanted in (True, False):
-        assert not coupling.ask(wanted, REST + 0.1, READY)[0]
+        for joint in np.eye(BODY.n):
+            for velocity in (0.1, -0.1):
+                assert not coupling.ask(wanted, REST + velocity * joint, READY)[0]
     assert not coupling.ask(True, REST, None)[0] and not coupling.wanted
     assert coupling.ask(True, REST, READY)[0] and coupling.wanted
 

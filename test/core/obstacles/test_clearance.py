@@ -73,6 +73,18 @@ def test_sphere_and_capsule_meet_where_geometry_says(start, end, sphere, radius)
         distance / (sphere + radius) - 1.0, abs=1e-9)
 
 
+def test_beside_a_contact_the_nearest_that_may_not_touch_is_known_exactly():
+    """Bounds do for what is further away; a contact, however deep, is not meant by that."""
+    table = Obstacle.box('table', (0.0, 0.0, -0.05), (2.0, 2.0, 0.1))
+    plank = Obstacle.box('plank', (0.0, 0.5, 0.3), (0.6, 0.04, 0.04))
+    start, end = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.6]])
+    maps = inflated_obstacles(
+        Scene.of([table, plank]), [0.03], contacts=np.array([[True, False]]))
+    for enough in (np.inf, 0.0):
+        found = link_clearance(maps, start, end, enough=enough).distance[0]
+        assert found[0] < 0.0 and found[1] == pytest.approx(0.5 - 0.02 - 0.03)
+
+
 def all_clearances(robot, q, obstacles):
     arm = robot.kinematics(q)
     maps = inflated_obstacles(Scene.of(obstacles), [c.radius for c in robot.capsules])

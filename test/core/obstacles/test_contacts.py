@@ -35,6 +35,15 @@ def motion(robot, depth, twist, allowed, method='dynamic_factor', seconds=2.0):
     return tips[1] - tips[0], smallest_level(robot, postures, scene), results
 
 
+def test_what_may_touch_goes_by_the_names_that_there_are_now(panda):
+    """As many obstacles as before may come in another order, or be others."""
+    allowed, names = AllowedContacts(ALLOWED, panda), ('table', 'box', 'table/7')
+    flags = allowed.among(names)
+    assert flags.any(axis=0).tolist() == [True, False, True]
+    np.testing.assert_array_equal(allowed.among(('box', 'table', 'table/7')), flags[:, [1, 0, 2]])
+    assert not allowed.among(('box', 'shelf', 'person')).any()
+
+
 @pytest.mark.parametrize('method', ['dynamic_factor', 'variational'])
 def test_what_may_touch_comes_down_to_the_surface_and_no_further(panda, method):
     kept, level, _ = motion(panda, -0.05, DOWN, (), method)

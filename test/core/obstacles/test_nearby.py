@@ -85,6 +85,20 @@ def test_of_too_many_the_deepest_are_taken_and_no_other_is_nearer_than_told(seed
     assert least[nearest].max() <= np.delete(least, nearest).min() + 1e-9
 
 
+@settings(deadline=None, max_examples=examples(30))
+@given(st.integers(0, 10**6), st.floats(0.01, 0.4))
+def test_what_is_left_out_is_as_far_as_it_says(seed, reach):
+    """What moves is nearer by its way within the lead."""
+    scene = cloud(60, seed, speed=1.0)
+    maps = inflated_obstacles(scene, RADII, LEAD)
+    arm = PANDA.kinematics(random_postures(PANDA, 1, seed)[0])
+    around = surroundings(scene, KEPT, arm, np.full(len(RADII), reach), COURSE)
+    left_out = ~np.isin(np.arange(60), around.near)
+    pairs = link_clearance(maps, arm.segment_start, arm.segment_end)
+    further = pairs.distance[:, left_out] - around.range[:, None]
+    assert (further[PANDA.moved] > -1e-9).all()
+
+
 def plank_rod_or_pin(name, kind, random):
     turned = random.normal(size=4)
     place = {'orientation': turned / np.linalg.norm(turned), 'velocity': random.normal(size=3)}

@@ -13,6 +13,7 @@ from redundant_planner.core.robot.capsule_fit import (
     distances,
     fit_body,
     fit_capsule,
+    fit_closely,
     merged,
     Shape,
 )
@@ -96,3 +97,16 @@ def test_the_hull_of_a_box_has_its_volume_and_its_corners():
     hull = convex_hull(np.vstack((box(0.1, 0.2, 0.3), within_hull(box(0.1, 0.2, 0.3), 50))))
     assert len(hull.corners) == 8 and hull.volume == pytest.approx(8 * 0.1 * 0.2 * 0.3)
     assert convex_hull(box(0.1, 0.2, 0.0)).volume == 0.0
+
+
+@pytest.mark.parametrize('half', [(0.2, 0.2, 0.2), (0.1, 0.25, 0.4), (0.3, 0.3, 0.12)])
+def test_what_stands_still_is_covered_by_capsules_that_stick_out_by_little(half):
+    body = convex_hull(box(*half))
+    shapes = [shape for shape, _ in fit_closely(body)]
+    assert inside(RANDOM.uniform(-1.0, 1.0, (500, 3)) * half, shapes)
+    directions = RANDOM.normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for shape in shapes:
+        for end in (shape.start, shape.end):
+            surface = end + shape.radius * directions
+            assert (np.abs(surface) - half).max() <= 0.1 + 1e-9

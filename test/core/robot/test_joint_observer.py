@@ -71,6 +71,17 @@ def test_an_ideal_arm_is_taken_as_measured():
         q = q + DT * swing(i)
 
 
+def test_an_ideal_arm_is_taken_as_measured_however_long_the_ticks_are():
+    """The command under way when the period changes counts, too."""
+    observer, q = JointObserver(N, 0.0, 0.0), np.array([0.1, -0.2, 0.3])
+    for i in range(100):
+        dt = DT * (1 + i // 2 % 3)
+        np.testing.assert_allclose(observer.sense(q, dt), q, atol=1e-13)
+        np.testing.assert_allclose(observer.ahead, q, atol=1e-13)
+        observer.commanded(swing(i), dt)
+        q = q + dt * swing(i)
+
+
 @pytest.mark.parametrize('push', [0.005, 0.05])
 def test_an_arm_that_is_pushed_is_followed(push):
     observer, q = JointObserver(N, 0.03, 0.012), np.zeros(N)

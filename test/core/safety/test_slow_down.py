@@ -155,6 +155,25 @@ def test_a_slower_arm_gets_out_of_the_way_of_what_comes_at_it_all_the_same():
     assert nearest[1] > nearest[0] - 1e-3
 
 
+def test_where_the_path_cannot_be_kept_nobody_slows_the_arm_down():
+    """A clearance that takes the tip from its path goes first: as if there was nobody near."""
+    hand = tip(PANDA, PANDA_READY).position
+    ball = Obstacle('ball', hand + [-0.1, 0.0, 0.0], np.full(3, 0.05), velocity=(0.2, 0.0, 0.0))
+    person = Obstacle('person/1', hand + [0.0, 0.5, 0.1], np.full(3, 0.1))
+    found = []
+    for slow in ((), ('person=0.6:1.0',)):
+        planner, q = Planner(PANDA, PlannerParameters(slow_down=slow)), np.array(PANDA_READY)
+        results = []
+        for i in range(40):
+            scene = Scene.of([ball.after(i * DT), person])
+            results.append(planner.step(q, ACROSS, scene, DT))
+            q = q + DT * results[-1].dq
+        assert {result.stage for result in results} <= {Stage.YIELDING, Stage.FORCED}
+        assert not any('slower near' in result.reason for result in results)
+        found.append([result.dq for result in results])
+    np.testing.assert_array_equal(*found)
+
+
 @pytest.mark.parametrize('entry', ['person', 'person=1', 'person=a:b', '=0.3:1', 'person=0.3:0',
                                    'person=-1:1', 'person=0.3:nan'])
 def test_what_is_no_separation_is_refused(entry):

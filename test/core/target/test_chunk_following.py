@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import make_paper_arm, PANDA_READY
+from conftest import make_panda, make_paper_arm, PANDA_READY
 import numpy as np
 import pytest
 from target_run import DT, moved, PANDA, Run, STILL, tip
@@ -17,6 +17,7 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import se3
 from redundant_planner.core.target.chunk import Chunk
+from redundant_planner.core.target.chunk_follower import ChunkFollower
 from redundant_planner.core.target.progress import REACHED, TargetState
 
 EMPTY = Scene.of(())
@@ -206,6 +207,35 @@ def test_a_policy_that_leads_into_something_is_told_so():
     motion = Motion.through(capsules_of(PANDA), np.array(run.positions))
     assert motion.to_obstacles(scene.obstacles(), DT).distance > 0.005
     run.assert_within_limits()
+
+
+@pytest.mark.parametrize('of_poses', [False, True])
+def test_waiting_at_the_end_of_a_chunk_is_not_being_blocked(of_poses):
+    """The next chunk, long after, begins as the first did."""
+    t, run = np.linspace(0.0, 1.0, 11), Run()
+    at = poses_at if of_poses else joints_at
+    for share in (t, t[::-1]):
+        chunk = Chunk(t, at(2.0 * share))
+        run.to(lambda _, chunk=chunk: chunk, 3.0)
+        assert run.results[-1].progress.state is TargetState.REACHED
+    assert TargetState.BLOCKED not in [result.progress.state for result in run.results]
+
+
+@pytest.mark.parametrize('frame', ['base', 'tool'])
+def test_the_twists_that_a_chunk_announces_are_those_that_come(frame, monkeypatch):
+    """In the command frame, which turns with the tip; between nodes they are interpolated."""
+    said, twist_of = [], ChunkFollower.twist
+    monkeypatch.setattr(ChunkFollower, 'twist', lambda self, start: (
+        said.append(twist_of(self, start)) or said[-1]))
+    start = PANDA_READY + np.array([0.3, 0.0, 0.2, 0.0, -0.4, 0.3, 0.6])
+    t, begin = np.linspace(0.0, 2.0, 21), tip(PANDA, start)
+    chunk = Chunk(t, [moved(begin, x * DISPLACED) for x in minimum_jerk(t / 2.0)])
+    Run(make_panda(command_frame=frame), start).to(lambda _: chunk, 1.6)
+    _, ahead = said[150]
+    came = np.array([twist for twist, _ in said[150:350]])
+    announced = ahead(DT * np.arange(len(came) + 1))
+    assert np.abs(came).max() > 0.1
+    np.testing.assert_allclose(announced, came, atol=0.05 * np.abs(came).max())
 
 
 @pytest.mark.parametrize('speed', [0.3, 1.5])

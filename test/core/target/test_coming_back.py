@@ -9,10 +9,13 @@ from target_run import AT_REST, DT, EMPTY, PANDA, tip
 
 from benchmark.sweeps import run as sweep
 from redundant_planner.core.constants import robot_constants
+from redundant_planner.core.obstacles.obstacle import Obstacle
+from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.se3 import Poses
+from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.target.coming_back import ComingBack
 
 
@@ -57,6 +60,25 @@ def test_where_there_is_no_way_or_it_stands_still_the_path_goes_on_from_there():
         _, gave_up, back = coming_back(0.1, 0.0, 7.0, **way)
         assert gave_up and back.target is None
     assert not coming_back(0.1, 0.0, 7.0, goes=0.1)[1]
+
+
+def test_after_a_reset_no_arm_comes_back_to_what_it_evaded():
+    """A ball pushes the tip off its path; then the arm is found elsewhere, and stays there."""
+    planner, q, still = Planner(PANDA, PlannerParameters()), np.array(PANDA_READY), np.zeros(6)
+    home = tip(PANDA, PANDA_READY).position
+    for i in range(round(4.0 / DT)):
+        ball = Obstacle('ball', home + (0.0, 0.5 - 0.25 * i * DT, 0.0), np.full(3, 0.05),
+                        velocity=(0.0, -0.25, 0.0))
+        result = planner.step(q, still, Scene.of([ball]), DT)
+        q = q + DT * result.dq
+        if np.linalg.norm(result.path_error[:3]) > 0.03:
+            break
+    assert result.stage is Stage.YIELDING
+    planner.reset()
+    elsewhere = PANDA_READY + 0.2
+    for _ in range(round(2.0 / DT)):
+        result = planner.step(elsewhere, still, EMPTY, DT)
+        assert not result.dq.any() and 'comes back' not in result.reason
 
 
 def test_an_arm_on_its_path_is_left_alone():
