@@ -85,8 +85,8 @@ def lowest(robot, postures, axis):
     Both (k,).
     """
     arms = robot.kinematics_along(np.array(postures))
-    ends = np.stack((arms.segment_start, arms.segment_end))[..., axis]
-    radii = np.array([capsule.radius for capsule in robot.capsules])
+    ends = np.stack((arms.segment_start, arms.segment_end))[..., robot.moved, axis]
+    radii = np.array([capsule.radius for capsule in robot.capsules])[robot.moved]
     return (ends - radii).min(axis=(0, 2)), (ends + radii).max(axis=(0, 2))
 
 
