@@ -23,6 +23,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.simulated_arm import joint_ranges, SimulatedArm
 from redundant_planner.io.collision_geometry import collision_pieces
 from redundant_planner.io.likely_tips import likely_tip
+from redundant_planner.io.link_shapes import fitted_capsules
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.resources import share_directory
 from redundant_planner.io.robot_files import build_robot
@@ -101,10 +102,11 @@ def _covered(robot: Robot, text: str, folder: Path) -> None:
     for link in robot.moving_links:
         written = len(links[link].findall('collision')) if link in links else 0
         assert written == sum(piece.link == link for piece in pieces), f'{link}: elements dropped'
-    for piece in pieces:
+    bare = {link for fit in fitted_capsules(robot, folder) for link in fit.bare}
+    for piece in (piece for piece in pieces if piece.link not in bare):
         outside = np.full(len(piece.points), np.inf)
         for capsule in robot.capsules:
-            if robot.moving_links[capsule.frame] == piece.joint:
+            if robot.moving_links.get(capsule.frame, robot.base_frame) == piece.joint:
                 points = robot.in_link(capsule.frame, piece.link, piece.points)
                 outside = np.minimum(outside, distances(points, Shape(
                     capsule.start, capsule.end, capsule.radius)) - capsule.radius)
