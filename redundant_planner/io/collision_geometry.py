@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 _RIM = 24
 # Of collision elements on one joint and on all of them: neighbours to merge are searched for
 # among all pairs on a joint, and with more than this that takes minutes.
-_MOST_ON_JOINT, _MOST_ELEMENTS = 100, 250
+MOST_ON_JOINT, _MOST_ELEMENTS = 100, 250
 # The shapes that a capsule can be fitted to, with their attributes and how many numbers each has.
 _SIZES = {'sphere': {'radius': 1}, 'box': {'size': 3}, 'cylinder': {'radius': 1, 'length': 1},
           'capsule': {'radius': 1, 'length': 1}}
@@ -94,15 +94,16 @@ def collision_elements(robot: Robot, folder: Path | None) -> list[CollisionEleme
     elements = [_element(collision, link, joint, folder)
                 for link, joint in carriers.items() if link in links
                 for collision in links[link].findall('collision')]
-    if all(element.joint == base for element in elements):
+    counts = Counter(element.joint for element in elements if element.joint != base)
+    if not counts:
         raise RobotError(
             'no moving link of the URDF has collision geometry to fit capsules to; list '
             "capsules, or give a link_radius (in a file with 'link_shapes: straight')")
-    joint, most = Counter(element.joint for element in elements).most_common(1)[0]
-    if most > _MOST_ON_JOINT or len(elements) > _MOST_ELEMENTS:
+    joint, most = counts.most_common(1)[0]
+    if most > MOST_ON_JOINT or counts.total() > _MOST_ELEMENTS:
         raise RobotError(
-            f'the links that {joint!r} carries have {most} collision elements, all links '
-            f'{len(elements)}; capsules are fitted to {_MOST_ON_JOINT} and '
+            f'the links that joint {joint!r} carries have {most} collision elements, all moving '
+            f'links {counts.total()}; capsules are fitted to {MOST_ON_JOINT} and '
             f'{_MOST_ELEMENTS} at most: list capsules, or simplify the geometry')
     return elements
 

@@ -21,6 +21,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.collision_geometry import (
     collision_elements,
     CollisionElement,
+    MOST_ON_JOINT,
     Piece,
     piece_of,
 )
@@ -42,7 +43,8 @@ class Fit:
         capsules: around them.
         corners: points that had to be enclosed.
         ratio: volume of the capsules over that of the convex bodies; infinite for flat ones.
-        bare: links that stand still of which some body has no capsule, as it would stick out far.
+        bare: links that stand still of which some body has no capsule: it would stick out far, or
+            there are too many.
     """
 
     joint: str
@@ -122,9 +124,14 @@ def _fit(robot: Robot, pieces: Iterable[Piece], openings: Openings) -> Iterable[
     for joint in (name for name in (robot.base_frame, *robot.joint_names) if name in by_joint):
         group = by_joint[joint]
         base = _base_of(robot, joint, [piece.link for piece in group], openings)
-        shapes, owners, volume, corners, bulge = [], [], 0.0, 0, 0.0
+        shapes: list[tuple[Shape, Array]] = []
         bare: dict[str, None] = {}
+        owners, volume, corners, bulge = [], 0.0, 0, 0.0
+        stands = joint == robot.base_frame
         for piece in group:
+            if stands and len(shapes) >= MOST_ON_JOINT:
+                bare[piece.link] = None
+                continue
             # All in the frame of one link: they are one rigid body, but for the hand's openings.
             points, more = openings.points_of(base, piece.link, piece.points)
             corners, bulge = corners + len(points), max(bulge, more)
@@ -137,7 +144,7 @@ def _fit(robot: Robot, pieces: Iterable[Piece], openings: Openings) -> Iterable[
             if piece.radius is not None:
                 points = np.vstack([_around(end, piece.radius) for end in points])
             body = convex_hull(points)
-            parts = fit_closely(body) if joint == robot.base_frame else fit_body(body)
+            parts = fit_closely(body) if stands else fit_body(body)
             if parts is None:
                 bare[piece.link] = None
                 continue
@@ -146,8 +153,7 @@ def _fit(robot: Robot, pieces: Iterable[Piece], openings: Openings) -> Iterable[
             owners += [piece.link] * len(parts)
         capsules: list[Capsule] = []
         # Merging saves volume; what stands still has to be covered closely.
-        whole = ([(shape, owners[i]) for i, (shape, _) in enumerate(shapes)]
-                 if joint == robot.base_frame else
+        whole = ([(shape, owner) for (shape, _), owner in zip(shapes, owners)] if stands else
                  [(shape, owners[members[0]]) for shape, _, members in merged(shapes)])
         for shape, name in whole:
             taken = sum(c.name == name or c.name.startswith(f'{name}_') for c in capsules)

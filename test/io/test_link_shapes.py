@@ -369,6 +369,18 @@ def test_what_is_fixed_to_the_base_is_covered_closely_or_named():
                 np.maximum(np.abs(end + direction) - half, 0.0), axis=1).max() < 0.1002
 
 
+def test_a_base_of_very_many_pieces_is_covered_as_far_as_that_takes_no_time():
+    """Nobody's arm is refused for what it stands on."""
+    ball = '<collision><geometry><sphere radius="0.03"/></geometry></collision>'
+    text = with_links_that_stand_still({
+        'rack': ('base', 'fixed', 90 * ball), 'cell': ('base', 'fixed', 400 * ball)})
+    said = []
+    robot = build_robot(RobotParameters(tip_frame='tip', axes=('vx', 'vy')), text, {},
+                        warn=said.append)
+    assert (~robot.moved).sum() == 100
+    assert len(said) == 1 and "keeps the arm off them: 'cell';" in said[0]
+
+
 def test_more_collision_elements_than_can_be_fitted_in_time_are_refused():
     many = '<collision><geometry><sphere radius="0.1"/></geometry></collision>' * 101
     text = planar_urdf().replace('<link name="link2"/>', f'<link name="link2">{many}</link>')

@@ -95,8 +95,8 @@ class InflatedObstacles(NamedTuple):
             contacts that are allowed.
         twists: (6, k) velocities of the centres, and angular velocities, base frame [m/s, rad/s].
         speeds: (k,) the fastest that any point of an obstacle moves [m/s].
-        moved: (c,) whether a joint moves the link. What comes close to others is not the arm's
-            doing: they are infinitely far from everything.
+        moved: (c,) whether a joint moves the link. No motion of the arm changes how far one that
+            stands still is from an obstacle: that counts as infinitely far.
     """
 
     shapes: Indices

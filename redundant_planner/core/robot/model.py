@@ -66,8 +66,8 @@ class Robot:
         weights: (n,) how unwilling the joints are to move.
         capsules: the link shapes, then those of what the hand holds.
         self_pairs: (p, 2) indices of the capsules that can run into each other.
-        moved: (c,) whether any joint moves a capsule. Those of a base that stands still keep the
-            other links away; what obstacles do about them is not the arm's doing.
+        moved: (c,) whether any joint moves a capsule. The others, of a base, keep links away from
+            it, and obstacles may touch them.
         supports: (c, n) 1 where a joint moves a capsule, else 0.
         lever_arm_bounds: (c, n) the fastest any point of a capsule moves per unit of joint
             velocity, at any posture: a bound [m/rad, 1 for prismatic joints].
