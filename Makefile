@@ -4,7 +4,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 PIP_INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check
-# So that no node has to, the first time it starts.
+# So that no node has to, the first time it starts, also after a pull.
 COMPILE = $(VENV)/bin/python -m redundant_planner.compile
 # Python with machine code that checks every index; it lies beside the other.
 CHECKED = NUMBA_BOUNDSCHECK=1 $(VENV)/bin/python
@@ -14,9 +14,11 @@ LOWEST = $(VENV)-lowest
 .PHONY: demo play test test-long lint bounds lowest docs clean
 
 demo: $(VENV)/.demo-ready
+	$(COMPILE)
 	$(VENV)/bin/demo --out demo_output
 
 play: $(VENV)/.play-ready
+	$(COMPILE)
 	$(VENV)/bin/playground
 
 test: $(VENV)/.test-ready lint
