@@ -1,9 +1,10 @@
 """The joint path that leaves the commanded path least, past obstacles that move: one step to it.
 
-Nodes q_1 … q_N, one every Δ, are to minimise
+Nodes q_1 … q_N, at times t_i about Δ apart, are to minimise
 
     Δ Σ ‖e(q_i)‖² + k_v ‖q̇_i‖² + k_a ‖q̈_i‖²
-    + Δ k_c Σ max(0, reserve − d(q_i, t_i))²        for every link and obstacle, moved on until t_i
+    + ½ Δ k_c Σ max(0, reserve − d(q, t))²          for every link and obstacle, moved on until t,
+                                                    at the nodes and halfway between them
     + k_b Σ of the squares by which limits of position, velocity and acceleration are exceeded
 
 e is how far the tip is from the path, metres and radians alike: it counts little how far it stays
@@ -12,8 +13,8 @@ the safety filter keeps both anyway.
 
 A step solves that with e and d linearised about a guess. What is left is a least-squares problem
 whose prices begin at a bound each. Those beyond their bound are found by solving it again until
-they stay the same. Its matrix is banded: a node shares terms with the next two. docs/safety.md has
-more.
+they stay the same. Its matrix is banded: a node shares terms with the next two. As much of the
+step is taken as makes the sum smaller. docs/safety.md has more.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ Array = npt.NDArray[np.float64]
 
 # What counts beside the squared error: velocities [s²], accelerations [s⁴], and how far the tip
 # stays behind, as a share of what any other error counts.
-_EFFORT, _SMOOTHNESS, _BEHIND = 1e-3, 1e-5, 0.1
+_EFFORT, _SMOOTHNESS, _BEHIND = 1e-3, 3e-3, 0.1
 # What being too near to an obstacle counts beside being off the path, and what being beyond a
 # limit does: of position [1], velocity [s²] and acceleration [s⁴], the last times Δ².
 CLEARANCE_PRICE = 1e3
@@ -51,6 +52,8 @@ RESERVE, _PAIRS_WITHIN = 0.005, 0.1
 _DAMPING, _LARGEST_STEP = 1e-4, 0.3
 # How often a step solves its problem at the most.
 _SOLUTIONS = 6
+# How many shares of a step are tried, and what share each is of the one before.
+_SHARES, _SMALLER = 2, 0.3
 
 
 class Due(NamedTuple):
@@ -80,12 +83,12 @@ class Demand(NamedTuple):
 
 
 class Improved(NamedTuple):
-    """A step's result, and what was found of the nodes before it.
+    """A path after a step, and what was found of it.
 
     Attributes:
-        nodes: (N, n) after it.
+        nodes: (N, n).
         price: of the sum above.
-        deviation: the largest ‖e‖ [m, rad].
+        deviation, at_end: the largest ‖e‖, and that at the last node [m, rad].
         nearest: the smallest distance [m]; and of which link and obstacle.
         nearest_link, nearest_obstacle: these, −1 without obstacles.
         threatened: whether a clearance bends the path.
@@ -94,6 +97,7 @@ class Improved(NamedTuple):
     nodes: Matrix
     price: float
     deviation: float
+    at_end: float
     nearest: float
     nearest_link: int
     nearest_obstacle: int
@@ -104,12 +108,27 @@ class _Squares(NamedTuple):
     """Half a sum of squares, ½ xᵀ H x + cᵀ x + constant, in the step x (N n,) of all nodes.
 
     Attributes:
-        hessian: H (N n, N n).
+        hessian: H (N n, N n); empty, like c, where only its value is asked for.
         linear: c (N n,).
     """
 
     hessian: OutMatrix
     linear: OutVector
+
+
+class _Sum(NamedTuple):
+    """The sum about a path, without limits and clearances.
+
+    Attributes:
+        price: twice its value.
+        deviation, at_end: see `Improved`.
+        near: pairs near the path, and halfway between its nodes.
+    """
+
+    price: float
+    deviation: float
+    at_end: float
+    near: NearAlong
 
 
 class _Stencil(NamedTuple):
@@ -121,29 +140,42 @@ class _Stencil(NamedTuple):
 
 
 @kernel
-def _velocity_stencil(step: float) -> _Stencil:
-    return _Stencil(1.0 / step, -1.0 / step, 0.0)
+def _width(times: Vector, node: int) -> float:
+    """Return the time from the node before to this one [s]."""
+    return times[0] if node == 0 else times[node] - times[node - 1]
 
 
 @kernel
-def _acceleration_stencil(step: float) -> _Stencil:
-    change = 1.0 / (step * step)
-    return _Stencil(change, -2.0 * change, change)
+def _between(times: Vector, node: int) -> float:
+    """Return the time over which the velocity changes to that on the way to a node [s]."""
+    return times[0] if node == 0 else 0.5 * (_width(times, node - 1) + _width(times, node))
 
 
 @kernel
-def _add_of_node(
-    squares: _Squares, node: int, gradient: Vector, residual: float, price: float,
+def _velocity_stencil(times: Vector, node: int) -> _Stencil:
+    per = 1.0 / _width(times, node)
+    return _Stencil(per, -per, 0.0)
+
+
+@kernel
+def _acceleration_stencil(times: Vector, node: int) -> _Stencil:
+    per = 1.0 / _between(times, node)
+    now = per / _width(times, node)
+    before = 0.0 if node == 0 else per / _width(times, node - 1)
+    return _Stencil(now, -now - before, before)
+
+
+@kernel
+def _add_row(
+    squares: _Squares, first: int, gradient: Vector, residual: float, price: float,
 ) -> float:
-    """Add ½ price (residual + gradient · x)² of one node's step x (n,); return twice its value."""
+    """Add ½ price (residual + gradient · x)², of x from `first` on; return twice its value."""
     hessian, linear = squares
-    n = len(gradient)
-    first = node * n
-    for j in range(n):
+    for j in range(len(gradient) if len(linear) else 0):
         slope = price * gradient[j]
         if slope != 0.0:
             linear[first + j] += slope * residual
-            for k in range(n):
+            for k in range(len(gradient)):
                 hessian[first + j, first + k] += slope * gradient[k]
     return price * residual * residual
 
@@ -161,7 +193,7 @@ def _add_of_rate(
         stencil: of the rate.
     """
     hessian, linear = squares
-    for back in range(3):
+    for back in range(3 if len(linear) else 0):
         row = at - back * n
         slope = price * stencil[back]
         if row < 0 or slope == 0.0:
@@ -175,15 +207,16 @@ def _add_of_rate(
 
 @kernel
 def _rates(
-    q: Vector, previous: Vector, nodes: Matrix, node: int, joint: int, step: float,
+    q: Vector, previous: Vector, nodes: Matrix, node: int, joint: int, times: Vector,
 ) -> tuple[float, float]:
     """Return a joint's velocity on its way to a node, and its acceleration since the last one."""
     before = q[joint] if node == 0 else nodes[node - 1, joint]
-    velocity = (nodes[node, joint] - before) / step
+    velocity = (nodes[node, joint] - before) / _width(times, node)
     if node == 0:
-        return velocity, (velocity - previous[joint]) / step
+        return velocity, (velocity - previous[joint]) / times[0]
     earlier = q[joint] if node == 1 else nodes[node - 2, joint]
-    return velocity, (velocity - (before - earlier) / step) / step
+    slower = (before - earlier) / _width(times, node - 1)
+    return velocity, (velocity - slower) / _between(times, node)
 
 
 @kernel
@@ -194,15 +227,19 @@ def _beyond(value: float, low: float, high: float) -> float:
 
 @kernel
 def _add_errors(squares: _Squares, arms: KinematicsAlong, due: Due, chain: Chain, step: float,
-                ) -> tuple[float, float]:
-    """Add how far the tip is from its path; return twice the value, and the largest ‖e‖."""
-    along, price, largest = due.along, 0.0, 0.0
+                ) -> tuple[float, float, float]:
+    """Add how far the tip is from its path.
+
+    Returns:
+        Twice the value, the largest ‖e‖, and that at the last node.
+    """
+    along, price, largest, last = due.along, 0.0, 0.0, 0.0
     (m, n), tips = arms.jacobian.shape[1:], len(chain.tip_joints)
     gradient = np.empty(n)
-    for i in range(len(arms.q)):
+    for i in range(len(due.behind)):
         error = error_to(
             poses_at(due.poses, i, tips),
-            poses_at(Poses(arms.tip_positions, arms.tip_rotations), i, tips), chain.rows,
+            poses_at(Poses(arms.tip_positions, arms.tip_rotations), 2 * i + 1, tips), chain.rows,
             chain.in_tool)
         lag = 0.0
         for r in range(m):
@@ -215,27 +252,28 @@ def _add_errors(squares: _Squares, arms: KinematicsAlong, due: Due, chain: Chain
             for j in range(n):
                 forward = 0.0
                 for k in range(m):
-                    forward += along[k] * arms.jacobian[i, k, j]
-                gradient[j] = (1.0 - share) * along[r] * forward - arms.jacobian[i, r, j]
-            price += _add_of_node(squares, i, gradient, error[r], step)
-        largest = max(largest, math.sqrt(squared))
-    return price, largest
+                    forward += along[k] * arms.jacobian[2 * i + 1, k, j]
+                gradient[j] = (1.0 - share) * along[r] * forward - arms.jacobian[2 * i + 1, r, j]
+            price += _add_row(squares, i * n, gradient, error[r], step)
+        last = math.sqrt(squared)
+        largest = max(largest, last)
+    return price, largest, last
 
 
 @kernel
 def _add_motion(
-    squares: _Squares, q: Vector, previous: Vector, nodes: Matrix, scaling: Vector, step: float,
+    squares: _Squares, q: Vector, previous: Vector, nodes: Matrix, scaling: Vector, times: Vector,
 ) -> float:
     """Add velocities and accelerations; return twice the value."""
     price, n = 0.0, len(q)
     for i in range(len(nodes)):
         for j in range(n):
-            velocity, acceleration = _rates(q, previous, nodes, i, j, step)
-            weight = step / (scaling[j] * scaling[j])
+            velocity, acceleration = _rates(q, previous, nodes, i, j, times)
+            weight = _width(times, i) / (scaling[j] * scaling[j])
             price += _add_of_rate(
-                squares, i * n + j, n, _velocity_stencil(step), velocity, _EFFORT * weight)
+                squares, i * n + j, n, _velocity_stencil(times, i), velocity, _EFFORT * weight)
             price += _add_of_rate(
-                squares, i * n + j, n, _acceleration_stencil(step), acceleration,
+                squares, i * n + j, n, _acceleration_stencil(times, i), acceleration,
                 _SMOOTHNESS * weight)
     return price
 
@@ -243,7 +281,7 @@ def _add_motion(
 @kernel
 def _add_limits(
     squares: _Squares, q: Vector, previous: Vector, nodes: Matrix, trial: Matrix, limits: Limits,
-    step: float,
+    times: Vector,
 ) -> float:
     """Add the limits that trial nodes (N, n) exceed, about other ones; return twice the value."""
     price, n = 0.0, len(q)
@@ -254,21 +292,22 @@ def _add_limits(
             if _beyond(trial[i, j], low, high) != 0.0:
                 bound = high if trial[i, j] > high else low
                 gradient[j] = 1.0
-                price += _add_of_node(squares, i, gradient, nodes[i, j] - bound, _POSITION_PRICE)
+                price += _add_row(squares, i * n, gradient, nodes[i, j] - bound, _POSITION_PRICE)
                 gradient[j] = 0.0
-            velocity, acceleration = _rates(q, previous, trial, i, j, step)
-            now, changing = _rates(q, previous, nodes, i, j, step)
+            velocity, acceleration = _rates(q, previous, trial, i, j, times)
+            now, changing = _rates(q, previous, nodes, i, j, times)
             most = _VELOCITY_SHARE * limits.velocity_max[j]
             if abs(velocity) > most:
                 price += _add_of_rate(
-                    squares, at, n, _velocity_stencil(step),
+                    squares, at, n, _velocity_stencil(times, i),
                     now - math.copysign(most, velocity), _RATE_PRICE)
             # The first node's is the mean on the way there: it is half of what it starts with.
+            since = _between(times, i)
             most = _ACCELERATION_SHARE * limits.acceleration_max[j] * (0.5 if i == 0 else 1.0)
             if abs(acceleration) > most:
                 price += _add_of_rate(
-                    squares, at, n, _acceleration_stencil(step),
-                    changing - math.copysign(most, acceleration), _RATE_PRICE * step * step)
+                    squares, at, n, _acceleration_stencil(times, i),
+                    changing - math.copysign(most, acceleration), _RATE_PRICE * since * since)
     return price
 
 
@@ -290,28 +329,55 @@ def _add_clearances(
         Twice the value, and whether others act than the last time.
     """
     price, changed, n = 0.0, False, nodes.shape[1]
-    gradient = np.empty(n)
     for pair in range(len(near.postures)):
-        node, smallest = near.postures[pair], near.smallest[pair]
+        node, smallest = near.postures[pair] // 2, near.smallest[pair]
         lack = near.normalized_distance[pair] * smallest - demand.reserve
         then = lack
-        for j in range(n):
-            gradient[j] = smallest * near.gradient[pair, j]
-            then += gradient[j] * (trial[node, j] - nodes[node, j])
+        # Halfway between two nodes half of it is each one's; the arm does not move with the plan.
+        halfway = near.postures[pair] % 2 == 0
+        first = max(node - 1, 0) if halfway else node
+        gradient = np.empty((node - first + 1) * n)
+        for j in range(len(gradient)):
+            gradient[j] = (0.5 if halfway else 1.0) * smallest * near.gradient[pair, j % n]
+            at = first + j // n
+            then += gradient[j] * (trial[at, j % n] - nodes[at, j % n])
         acts = 1.0 if then < 0.0 else 0.0
         changed = changed or acts != acting[pair]
         acting[pair] = acts
         if acts == 1.0:
-            price += _add_of_node(squares, node, gradient, lack, demand.price * step)
+            price += _add_row(squares, first * n, gradient, lack, 0.5 * demand.price * step)
     return price, changed
+
+
+@kernel
+def _sum(
+    squares: _Squares, q: Vector, previous: Vector, nodes: Matrix, due: Due,
+    obstacles: InflatedObstacles, chain: Chain, scaling: Vector, times: Vector, within: float,
+) -> _Sum:
+    """Add what always counts about a path, and find the pairs that are nearer than `within` [m].
+
+    Other arguments as for `improved`.
+    """
+    count, n = nodes.shape
+    # Halfway between two nodes the arm is looked at, too: a fast obstacle passes there.
+    seen, seen_times = np.empty((2 * count, n)), np.empty(2 * count)
+    for i in range(count):
+        before, earlier = (q, 0.0) if i == 0 else (nodes[i - 1], times[i - 1])
+        seen[2 * i], seen_times[2 * i] = 0.5 * (before + nodes[i]), 0.5 * (earlier + times[i])
+        seen[2 * i + 1], seen_times[2 * i + 1] = nodes[i], times[i]
+    arms = along_in(seen, chain)
+    near = near_pairs_along(obstacles, arms, chain, seen_times, within)
+    of_errors, deviation, at_end = _add_errors(squares, arms, due, chain, times[-1] / count)
+    of_motion = _add_motion(squares, q, previous, nodes, scaling, times)
+    return _Sum(of_errors + of_motion, deviation, at_end, near)
 
 
 @entry
 def improved(
     q: Vector, previous: Vector, nodes: Matrix, due: Due, obstacles: InflatedObstacles,
-    chain: Chain, limits: Limits, scaling: Vector, step: float, demand: Demand,
+    chain: Chain, limits: Limits, scaling: Vector, times: Vector, demand: Demand,
 ) -> Improved:
-    """Return a path that leaves the commanded one less, and measures of the one before.
+    """Return a path that leaves the commanded one less.
 
     Args:
         q, previous: (n,) where the arm is, and its velocity [rad, m; per s].
@@ -320,33 +386,45 @@ def improved(
         obstacles: the obstacles now, with what is kept from them.
         chain, limits: of the arm.
         scaling: (n,) 1 / square root of the joint weights.
-        step: Δ between two nodes [s].
+        times: (N,) of the nodes, from now [s].
         demand: of clearances.
     """
     count, n = nodes.shape
-    arms = along_in(nodes, chain)
-    near = near_pairs_along(
-        obstacles, arms, chain, step * np.arange(1.0, count + 1.0), _PAIRS_WITHIN)
-    size = count * n
+    size, step = count * n, times[-1] / count
     always = _Squares(_DAMPING * np.eye(size), np.zeros(size))
-    price, deviation = _add_errors(always, arms, due, chain, step)
-    price += _add_motion(always, q, previous, nodes, scaling, step)
+    best = _sum(always, q, previous, nodes, due, obstacles, chain, scaling, times, _PAIRS_WITHIN)
+    price = best.price
     squares = _Squares(np.empty((size, size)), np.empty(size))
-    x, trial = np.zeros(size), nodes.copy()
-    acting = np.zeros(len(near.postures))
+    x, trial, found = np.zeros(size), nodes.copy(), nodes
+    acting = np.zeros(len(best.near.postures))
     for solution in range(_SOLUTIONS):
         squares.hessian[:], squares.linear[:] = always.hessian, always.linear
-        of_limits = _add_limits(squares, q, previous, nodes, trial, limits, step)
+        of_limits = _add_limits(squares, q, previous, nodes, trial, limits, times)
         of_clearances, changed = _add_clearances(
-            squares, near, nodes, trial, demand, step, acting)
+            squares, best.near, nodes, trial, demand, step, acting)
         if solution == 0:
             price += of_limits + of_clearances
         elif not changed:
             break
         x = smallest_of(squares.hessian, squares.linear, 3 * n - 1)
         trial = nodes + x.reshape(count, n)
-    for i in range(count):
-        for j in range(n):
-            trial[i, j] = nodes[i, j] + min(max(x[i * n + j], -_LARGEST_STEP), _LARGEST_STEP)
-    return Improved(trial, price, deviation, near.nearest, near.nearest_link,
-                    near.nearest_obstacle, bool(np.any(acting > 0.0)))
+    threatened = bool(np.any(acting > 0.0))
+    # Distances bend on the way: the whole step may lead to a worse path.
+    none, share = _Squares(np.empty((0, 0)), np.empty(0)), 1.0
+    for _ in range(_SHARES):
+        for i in range(count):
+            for j in range(n):
+                trial[i, j] = nodes[i, j] + share * min(
+                    max(x[i * n + j], -_LARGEST_STEP), _LARGEST_STEP)
+        then = _sum(
+            none, q, previous, trial, due, obstacles, chain, scaling, times, demand.reserve)
+        now = then.price + _add_limits(none, q, previous, trial, trial, limits, times)
+        now += _add_clearances(
+            none, then.near, trial, trial, demand, step, np.zeros(len(then.near.postures)))[0]
+        if now < price:
+            best, price, found = then, now, trial
+            break
+        share *= _SMALLER
+    near = best.near
+    return Improved(found, price, best.deviation, best.at_end, near.nearest, near.nearest_link,
+                    near.nearest_obstacle, threatened)

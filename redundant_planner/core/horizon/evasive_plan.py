@@ -23,7 +23,6 @@ from redundant_planner.core.horizon.evasive_path import (
     improved,
     RESERVE,
 )
-from redundant_planner.core.horizon.path_qp import moved_on
 from redundant_planner.core.horizon.poses_ahead import poses_ahead
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.nearby import Surroundings
@@ -49,12 +48,7 @@ _GROWING, _SETTLING = 6, 3
 _ALL = Demand(CLEARANCE_PRICE, RESERVE)
 # Another path replaces the one that is followed if it costs less than this share.
 _SHARE_TO_SWITCH = 0.9
-# Of a step this share is taken with the path that is followed: whole ones lead too far and back.
-_SHARE_OF_STEP = 0.5
-# A path that comes nearer to something than its clearance by this much is not followed, nor is it
-# again before it has kept clear for so long [m], [s]: it may be beyond that at every other look.
-_LARGEST_INTRUSION, _PROBATION = 0.01, 0.05
-# Time over which the velocity goes over to that of the path [s].
+# Time over which the acceleration goes over to that of the path [s].
 _SMOOTHING_TIME = 0.03
 
 
@@ -101,6 +95,9 @@ class EvasivePlan:
     A step finds the best path near the one it begins with, not the best of all. So every other
     step goes to an attempt at another path, which replaces the one that is followed if it is
     clearly better. The order is fixed, and so is the result. No tick takes more than one step.
+
+    The nodes stay where they are in time, and the first is given up when it comes near. Were they
+    to move on with every tick, a path would be another one with every tick, too.
     """
 
     def __init__(
@@ -111,19 +108,19 @@ class EvasivePlan:
         self._constants, self._gains = constants, gains
         self._between = min(max(
             gains.clearance_evasion_horizon / _NODES, _SHORTEST_STEP), _LONGEST_STEP)
-        self._times: Array = self._between * np.arange(_NODES + 1.0)
         self.reset()
 
     def reset(self) -> None:
         """Forget the path."""
         self._path: Improved | None = None
         self._attempt: _Attempt | None = None
-        self._start: Array | None = None  # where both of them begin
+        self._until_first = 2.0 * self._between  # node of both [s]
+        self._acceleration = np.zeros(self._robot.n)  # on the way of the path [rad/s², m/s²]
+        self._is_away = False  # whether the path that is followed has left the commanded one
         self._course = ''
         self._attempts = 0
         self._has_followed = False  # whether the last step improved the path that is followed
         self._age = math.inf  # since the last step [s]
-        self._clear_for = 0.0  # how long the path has led past a threat [s]
         self._due: tuple[Start, Surroundings] | None = None  # of the tick that a step belongs to
 
     def aside(self, start: Start, around: Surroundings) -> Aside | None:
@@ -134,23 +131,37 @@ class EvasivePlan:
             around: the obstacles near the arm.
         """
         self.catch_up()
-        q = start.arm.q
-        self._move_on(q, start.dt)
+        self._move_on(start.dt)
         self._age += start.dt
-        threatened = self._path is not None and self._path.threatened
-        if self._age >= (_PERIOD if threatened else _IDLE_PERIOD):
-            self._age, self._due = 0.0, (start, around)
         path = self._path
-        if path is None or not path.threatened or path.nearest < -_LARGEST_INTRUSION:
-            self._clear_for = 0.0
+        leads = path is not None and (path.threatened or self._leads_back(path))
+        if self._age >= (_PERIOD if leads else _IDLE_PERIOD):
+            self._age, self._due = 0.0, (start, around)
+        if path is None or not leads:
+            self._acceleration, self._is_away = np.zeros(self._robot.n), False
             return None
-        self._clear_for += start.dt
-        if self._clear_for < _PROBATION:
-            return None
-        wanted = (path.nodes[0] - q) / self._between
+        self._is_away = path.deviation > _ON_PATH
         share = 1.0 - math.exp(-start.dt / _SMOOTHING_TIME)
-        return Aside(start.previous + share * (wanted - start.previous),
-                     path.deviation > _ON_PATH, self._course)
+        self._acceleration = self._acceleration + share * (
+            self._onto(path.nodes, start) - self._acceleration)
+        return Aside(start.previous + start.dt * self._acceleration, self._is_away, self._course)
+
+    def _leads_back(self, path: Improved) -> bool:
+        """Return whether a path leads an arm that has stepped aside back to where it left."""
+        return self._is_away and path.at_end < _ON_PATH < path.deviation
+
+    def _onto(self, nodes: Array, start: Start) -> Array:
+        """Return a tick's mean acceleration (n,) on the cubic that leads to the first node.
+
+        It begins as the arm moves, and ends with the velocity of the parabola through the arm's
+        posture and the first two nodes.
+        """
+        first, second = self._until_first, self._between
+        here, ahead = (nodes[0] - start.arm.q) / first, (nodes[1] - nodes[0]) / second
+        there = (second * here + first * ahead) / (first + second)
+        s = min(start.dt / first, 1.0)
+        return (6.0 * (1.0 - s) * here - (4.0 - 3.0 * s) * start.previous
+                - (2.0 - 3.0 * s) * there) / first
 
     def catch_up(self) -> bool:
         """Take the step that the last tick has left; return whether there was one."""
@@ -159,27 +170,24 @@ class EvasivePlan:
             self._step(*due)
         return due is not None
 
-    def _move_on(self, q: Array, dt: float) -> None:
-        """Take both paths on by a tick, to begin at q (n,)."""
-        before, self._start = self._start, q
-        if before is None:
+    def _move_on(self, dt: float) -> None:
+        """Let a tick pass: give up the nodes that have come near."""
+        self._until_first -= dt
+        gone = math.ceil((self._between - self._until_first) / self._between)
+        if gone <= 0:
             return
-        later = self._times[1:] + dt
+        self._until_first += gone * self._between
         if self._path is not None:
-            self._path = self._path._replace(
-                nodes=moved_on(before, self._path.nodes, self._times, later))
+            self._path = self._path._replace(nodes=_without(self._path.nodes, gone))
         if self._attempt is not None:
-            self._attempt.nodes = moved_on(before, self._attempt.nodes, self._times, later)
+            self._attempt.nodes = _without(self._attempt.nodes, gone)
 
     def _step(self, start: Start, around: Surroundings) -> None:
         """Improve the path that is followed, or in every other step the attempt at another."""
         path = self._path
         if path is None or not path.threatened or not self._has_followed:
             nodes = np.tile(start.arm.q, (_NODES, 1)) if path is None else path.nodes
-            found = self._improved(start, nodes, around.ahead, _ALL)
-            if found is not None:
-                found = found._replace(nodes=nodes + _SHARE_OF_STEP * (found.nodes - nodes))
-            self._follow(found, around)
+            self._follow(self._improved(start, nodes, around.ahead, _ALL), around)
             return
         self._has_followed = False
         attempt = self._attempt or self._begun(start)
@@ -195,7 +203,7 @@ class EvasivePlan:
     def _follow(self, path: Improved | None, around: Surroundings) -> None:
         self._path, self._has_followed = path, True
         if path is None or not path.threatened:
-            self._attempt, self._course = None, ''
+            self._attempt = None
         else:
             link = self._robot.capsules[path.nearest_link].name
             obstacle = around.scene.names[around.nearest[path.nearest_obstacle]]
@@ -222,12 +230,18 @@ class EvasivePlan:
         """Return a path after a step; None where obstacles are too large for numbers."""
         robot, command = self._robot, start.command
         reference = reference_of(start, self._constants, self._gains)
-        poses = poses_ahead(
-            reference, np.tile(command, (_NODES, 1)), self._times, robot.in_tool)
+        times: Array = self._until_first + self._between * np.arange(_NODES, dtype=float)
+        poses = poses_ahead(reference, np.tile(command, (_NODES, 1)),
+                            np.append(0.0, times), robot.in_tool)
         along = robot.task_rows(command)
         speed = math.sqrt(along @ along)
         found = improved(
             start.arm.q, start.previous, nodes,
-            Due(poses, along / speed if speed > 0.0 else along, speed * self._times[1:]),
-            obstacles, robot.chain, self._limits, self._scaling, self._between, demand)
+            Due(poses, along / speed if speed > 0.0 else along, speed * times),
+            obstacles, robot.chain, self._limits, self._scaling, times, demand)
         return found if math.isfinite(found.price) and np.isfinite(found.nodes).all() else None
+
+
+def _without(nodes: Array, gone: int) -> Array:
+    """Return a path without the first nodes; it stands still beyond the last."""
+    return nodes[np.minimum(np.arange(len(nodes)) + gone, len(nodes) - 1)]

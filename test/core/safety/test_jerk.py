@@ -144,7 +144,7 @@ def test_jerk_gives_way_to_what_moves_in_and_comes_back():
         arm = robot.kinematics(q)
         forearm = [capsule.name for capsule in robot.capsules].index('link5')
         middle = 0.5 * (arm.segment_start[forearm] + arm.segment_end[forearm])
-        ball = Obstacle('ball', middle + [0.0, 0.72, 0.0], [0.08] * 3, velocity=[0.0, -1.2, 0.0])
+        ball = Obstacle('ball', middle + [0.0, 0.45, 0.0], [0.08] * 3, velocity=[0.0, -1.2, 0.0])
         sent, kept, stages, nearest[jerk] = [], [], [], np.inf
         for i in range(750):
             scene = Scene.of([ball.after(i * DT)])
