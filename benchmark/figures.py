@@ -1,7 +1,8 @@
 """All figures of one run on one machine, on one page: docs/figures.md.
 
 `--run DIR` runs every benchmark and leaves its JSON in DIR/<name>.json, with date, machine,
-versions and commands in DIR/run.json. `--quick` runs a few of each, a minute at most: enough to
+versions and commands in DIR/run.json. Whatever DIR has of this machine and these versions stays:
+`--only` adds a question, or asks it again. `--quick` runs a few of each, a minute at most: enough to
 see that all of them run, too few to compare by. `--read DIR` makes the page of such a folder.
 """
 
@@ -55,10 +56,7 @@ def run(folder: Path, questions: Sequence[Question], console: Console, *, quick:
     """
     folder.mkdir(parents=True, exist_ok=True)
     peers = [name for name in PEERS if not missing(name)]
-    about: dict[str, Any] = {
-        'date': datetime.now(timezone.utc).strftime('%Y-%m-%d'), 'quick': quick,
-        'machine': _machine(), 'versions': {'redundant_planner': __version__, **versions()},
-        'commands': {}, 'seconds': {}, 'failed': {}}
+    about = _begun(folder, quick=quick)
     for question in questions:
         command, began = question.command(peers, quick=quick), time.monotonic()
         console.print(f'{question.name}: {said(command)}', highlight=False)
@@ -74,11 +72,26 @@ def run(folder: Path, questions: Sequence[Question], console: Console, *, quick:
             failure = f'not done after {_PATIENCE:g} s'
         about['commands'][question.name] = said(command)
         about['seconds'][question.name] = round(time.monotonic() - began, 1)
+        about['failed'].pop(question.name, None)
         if failure:
             about['failed'][question.name] = failure
             console.print(f'[red]{question.name} failed:[/red] {failure}', highlight=False)
-    (folder / RUN).write_text(json.dumps(about, indent=1) + '\n', encoding='utf-8')
+        (folder / RUN).write_text(json.dumps(about, indent=1) + '\n', encoding='utf-8')
     return len(about['failed'])
+
+
+def _begun(folder: Path, *, quick: bool) -> dict[str, Any]:
+    """Return what a run says of itself: the folder's, if this one goes on with it."""
+    about: dict[str, Any] = {
+        'date': datetime.now(timezone.utc).strftime('%Y-%m-%d'), 'quick': quick,
+        'machine': _machine(), 'versions': {'redundant_planner': __version__, **versions()}}
+    try:
+        before = _read(folder / RUN)
+    except FiguresError:
+        before = {}
+    if all(before.get(key) == about[key] for key in ('quick', 'machine', 'versions')):
+        return {**before, 'date': about['date']}
+    return {**about, 'commands': {}, 'seconds': {}, 'failed': {}}
 
 
 def said(command: Sequence[str]) -> str:

@@ -120,6 +120,26 @@ def test_a_run_leaves_what_it_found_and_says_what_failed(tmp_path, monkeypatch):
     assert not (tmp_path / 'chunks.json').exists()
 
 
+def test_a_question_is_added_to_a_run_of_the_same_machine_and_versions(tmp_path, monkeypatch):
+    def instead(command, **_):
+        file = command[-1]
+        with open(file, 'w') as out:
+            out.write((FOLDER / file.rpartition('/')[2]).read_text())
+        return subprocess.CompletedProcess(command, 0, '', '')
+
+    def answered(*options):
+        assert main(['--run', str(tmp_path), *options]) == 0
+        return set(json.loads((tmp_path / RUN).read_text())['commands'])
+
+    monkeypatch.setattr(figures.subprocess, 'run', instead)
+    assert answered('--only', 'moving') == {'moving'}
+    assert answered('--only', 'targets') == {'moving', 'targets'}
+    assert answered('--only', 'moving') == {'moving', 'targets'}
+    assert answered('--only', 'speed', '--quick') == {'speed'}  # another kind of run
+    monkeypatch.setattr(figures, '__version__', '9.9.9')
+    assert answered('--only', 'chunks', '--quick') == {'chunks'}
+
+
 def test_without_a_panda_nothing_is_run(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(figures, 'panda_urdf', lambda: None)
     monkeypatch.setattr(figures.subprocess, 'run', None)
