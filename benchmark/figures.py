@@ -2,8 +2,8 @@
 
 `--run DIR` runs every benchmark and leaves its JSON in DIR/<name>.json, with date, machine,
 versions and commands in DIR/run.json. Whatever DIR has of this machine and these versions stays:
-`--only` adds a question, or asks it again. `--quick` runs a few of each, a minute at most: enough to
-see that all of them run, too few to compare by. `--read DIR` makes the page of such a folder.
+`--only` adds a question, or asks it again. `--quick` runs a few of each, a minute at most: enough
+to see that all of them run, too few to compare by. `--read DIR` makes the page of such a folder.
 """
 
 from __future__ import annotations
