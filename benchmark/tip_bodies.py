@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import copy
+import itertools
 from xml.etree import ElementTree
 
 import numpy as np
+import numpy.typing as npt
 
 from benchmark.example_arms import ROBOTS
 from benchmark.robots import make_robot
 from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.model import Robot as Arm
 from redundant_planner.io.robot_files import Robot
+
+Array = npt.NDArray[np.float64]
 
 BODIES = ('tiago_dual', 'baxter', 'lift', 'base')
 
@@ -40,6 +44,27 @@ def make_body(name: str) -> Robot:
             tips=('left_gripper', 'right_gripper'), base_frame='base',
             acceleration_max=_ACCELERATION)
     return _on_a_lift() if name == 'lift' else _on_a_base()
+
+
+def arms_of(robot: Arm, start: Array) -> tuple[tuple[Arm, Array], tuple[Arm, Array]]:
+    """Return both arms of a body with two tips by themselves, and which joints (n,) each has.
+
+    What they share stays where it is at the start (n,).
+    """
+    moving = np.asarray(robot.chain.tip_supports > 0.0)
+    shared = moving.all(axis=0)
+    locked = {robot.joint_names[j]: float(start[j]) for j in np.flatnonzero(shared)}
+
+    def arm(tip: int) -> tuple[Arm, Array]:
+        own, others = moving[tip] & ~shared, moving[1 - tip] & ~shared
+        without_other = (robot.supports[:, others] == 0.0).all(axis=1)
+        return Arm(
+            robot.urdf, robot.tips[tip], base_frame=robot.base_frame, locked_positions=locked,
+            velocity_max=robot.velocity_max[own], acceleration_max=robot.acceleration_max[own],
+            jerk_max=robot.jerk_max[own],
+            capsules=list(itertools.compress(robot.capsules, without_other.tolist()))), own
+
+    return arm(0), arm(1)
 
 
 def _on_a_lift() -> Robot:

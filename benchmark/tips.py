@@ -2,8 +2,10 @@
 
 Each problem is a pair of target poses, one for each tip, that some free posture has. Boxes and
 balls lie around. Of the base it is one target out of the arm's reach. With --coupled the tips hold
-one object, which goes along a line. What counts is how many targets are reached, that no link
-touches an obstacle or another link (by coal), and that no limit is exceeded.
+one object, which goes along a line. With --separate each arm has a planner of its own, and they
+tell each other `~/body`; what they share, such as a torso, stays. What counts is how many targets
+are reached, that no link touches an obstacle or another link (by coal), and that no limit is
+exceeded.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from rich.progress import track
 from benchmark.bodies import Bodies, capsules_of
 from benchmark.closest_approach import Motion
 from benchmark.judge import limit_violation
-from benchmark.tip_bodies import BODIES, make_body
+from benchmark.tip_bodies import arms_of, BODIES, make_body
+from benchmark.two_arms import moved
 from redundant_planner.core.constants import gains_of, limits_of, robot_constants
 from redundant_planner.core.horizon.least_norm_path import path_joints, PathJoints
 from redundant_planner.core.obstacles.obstacle import Obstacle
@@ -269,6 +272,25 @@ def run(robot: Robot, problem: Problem, seed: int, parameters: PlannerParameters
     return judged(robot, problem, seed, state, np.array(postures), np.array(velocities), ticks)
 
 
+def run_separate(
+    robot: Robot, problem: Problem, seed: int, parameters: PlannerParameters,
+) -> Outcome:
+    """Let two planners go there, one for each arm."""
+    arms = arms_of(robot, problem.start)
+    poses = robot.kinematics(problem.goal).tips.each
+    found = moved(
+        (arms[0][0], arms[1][0]), (problem.start[arms[0][1]], problem.start[arms[1][1]]),
+        (poses[0], poses[1]), (problem.obstacles, problem.obstacles), parameters, _LONGEST)
+    postures = np.tile(problem.start, (len(found.positions[0]), 1))
+    velocities = np.zeros((len(found.velocities[0]), robot.n))
+    for (_, own), positions, speeds in zip(arms, found.positions, found.velocities):
+        postures[:, own], velocities[:, own] = positions, speeds
+    state = next((state for state in found.states if state is not TargetState.REACHED),
+                 TargetState.REACHED)
+    outcome = judged(robot, problem, seed, state, postures, velocities, found.ticks)
+    return outcome._replace(seconds=max(found.since))
+
+
 def judged(
     robot: Robot, problem: Problem, seed: int, state: TargetState, postures: Array,
     velocities: Array, ticks: list[float],
@@ -310,12 +332,13 @@ def _path_joints(robot: Robot) -> PathJoints:
                        limits_of(robot, parameters))
 
 
-def _job(job: tuple[str, int, str, bool]) -> Outcome:
-    body, seed, method, coupled = job
+def _job(job: tuple[str, int, str, str]) -> Outcome:
+    body, seed, method, how = job
     robot, parameters = _body(body), PlannerParameters(method=method)
-    if coupled:
+    if how == 'coupled':
         return run_coupled(robot, coupled_problem_of(robot, seed), seed, parameters)
-    return run(robot, problem_of(robot, seed, body == 'base'), seed, parameters)
+    problem = problem_of(robot, seed, body == 'base')
+    return (run_separate if how == 'separate' else run)(robot, problem, seed, parameters)
 
 
 def _options(args: list[str] | None) -> argparse.Namespace:
@@ -323,15 +346,18 @@ def _options(args: list[str] | None) -> argparse.Namespace:
         prog='benchmark.tips', description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--body', choices=BODIES, default=BODIES[0])
-    parser.add_argument('--coupled', action='store_true', help='both hands hold one object')
+    parser.add_argument('--coupled', dest='how', action='store_const', const='coupled',
+                        help='both hands hold one object')
+    parser.add_argument('--separate', dest='how', action='store_const', const='separate',
+                        help='each arm has a planner of its own')
     parser.add_argument('--count', type=int, default=100)
     parser.add_argument('--seed', type=int, default=0, help='first seed')
     parser.add_argument('--method', choices=METHODS, default='dynamic_factor')
     parser.add_argument('--jobs', type=int, default=2, help='processes')
     parser.add_argument('--json', type=Path, help='file for the summary')
     options = parser.parse_args(args)
-    if options.coupled and options.body == 'base':
-        parser.error('--coupled takes a body with two hands')
+    if options.how and options.body == 'base':
+        parser.error(f'--{options.how} takes a body with two hands')
     return options
 
 
@@ -339,7 +365,7 @@ def main(args: list[str] | None = None) -> None:
     """Run and print."""
     options = _options(args)
     _body(options.body)  # its shapes are fitted once
-    jobs = [(options.body, options.seed + i, options.method, options.coupled)
+    jobs = [(options.body, options.seed + i, options.method, options.how)
             for i in range(options.count)]
     with Pool(options.jobs) as pool:
         outcomes = list(track(pool.imap(_job, jobs), options.body, len(jobs),

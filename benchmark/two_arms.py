@@ -9,10 +9,12 @@ touched and that both arrive.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 import json
 from multiprocessing import Pool
 from pathlib import Path
+import time
 from typing import NamedTuple
 
 import numpy as np
@@ -110,34 +112,60 @@ def targets(robots: tuple[Robot, Robot], seed: int) -> tuple[Array, Array]:
             return pair
 
 
-def run(
-    robots: tuple[Robot, Robot], seed: int, parameters: PlannerParameters, crowded: bool = False,
-) -> Outcome:
-    """Send both arms to a pair of targets, from their home or from another such pair."""
-    goals = targets(robots, seed)
-    starts = targets(robots, _OTHER_SEEDS + seed) if crowded else (_READY, _READY)
+class Together(NamedTuple):
+    """How two planners moved their arms.
+
+    Attributes:
+        states: of both targets at the end.
+        since: when each arm arrived for good [s].
+        positions: of each arm, (k + 1, n) [rad, m].
+        velocities: of each arm, (k, n) [rad/s, m/s].
+        ticks: how long both planners took, of each tick [s].
+    """
+
+    states: tuple[TargetState, TargetState]
+    since: tuple[float, float]
+    positions: tuple[Array, Array]
+    velocities: tuple[Array, Array]
+    ticks: list[float]
+
+
+def moved(
+    robots: tuple[Robot, Robot], starts: tuple[Array, Array], poses: tuple[Pose, Pose],
+    still: tuple[Sequence[Obstacle], Sequence[Obstacle]], parameters: PlannerParameters,
+    longest: float = _LONGEST,
+) -> Together:
+    """Let each arm go to a pose with a planner of its own; they tell each other `~/body`.
+
+    Args:
+        robots: the arms, in one frame.
+        starts, poses: of each (n,), and where it is to go.
+        still: the obstacles at rest that each knows.
+        parameters: of both; the second gives way.
+        longest: after this time it ends [s].
+    """
     # The order in which they give way is fixed.
     planners = [Planner(robot, replace(parameters, target_gives_way=side == 1))
                 for side, robot in enumerate(robots)]
     books = [ObstacleSources.of(
-        1, (base(1 - side),), ('cell',), transform=None, estimate_velocity=False)
+        1, still[side], (robots[side].base_frame,), transform=None, estimate_velocity=False)
         for side in (0, 1)]
     writers = [BodyWriter(robot, name) for robot, name in zip(robots, _NAMES)]
-    poses = [Pose(arm.tip_position, arm.tip_rotation) for arm in (
-        robot.kinematics(q) for robot, q in zip(robots, goals))]
-    q, dq = list(starts), [np.zeros(7), np.zeros(7)]
+    q, dq = list(starts), [np.zeros(robot.n) for robot in robots]
     positions: list[list[Array]] = [[posture] for posture in starts]
     velocities: list[list[Array]] = [[], []]
-    since = [0.0, 0.0]
+    since, ticks = [0.0, 0.0], []
     states = [TargetState.MOVING, TargetState.MOVING]
-    for tick in range(round(_LONGEST / DT)):
+    for tick in range(round(longest / DT)):
         if tick % _BODY_TICKS == 0:
             told = [writers[side].message(round(1e9 * (1.0 + tick * DT)),
                                           robots[side].kinematics(q[side]), dq[side])
                     for side in (0, 1)]
         if tick % _BODY_TICKS == 1 or tick == 0:
             for side in (0, 1):
-                books[side].update(told[1 - side], tick * DT)
+                refused = books[side].update(told[1 - side], tick * DT)
+                assert not refused, refused
+        begin = time.perf_counter()
         for side in (0, 1):
             result = planners[side].step(
                 q[side], np.zeros(6), books[side].scene, DT, target=poses[side])
@@ -147,21 +175,36 @@ def run(
             if state is not TargetState.REACHED:
                 since[side] = (tick + 1) * DT
             states[side] = state
+        ticks.append(time.perf_counter() - begin)
         for side in (0, 1):
             q[side] = q[side] + DT * dq[side]
             positions[side].append(q[side])
             velocities[side].append(dq[side])
         if states == [TargetState.REACHED] * 2 and tick * DT > max(since) + 0.5:
             break
-    motions = [Motion.through(capsules_of(robot), np.array(path))
-               for robot, path in zip(robots, positions)]
+    return Together(
+        (states[0], states[1]), (since[0], since[1]),
+        (np.array(positions[0]), np.array(positions[1])),
+        (np.array(velocities[0]), np.array(velocities[1])), ticks)
+
+
+def run(
+    robots: tuple[Robot, Robot], seed: int, parameters: PlannerParameters, crowded: bool = False,
+) -> Outcome:
+    """Send both arms to a pair of targets, from their home or from another such pair."""
+    goals = targets(robots, seed)
+    starts = targets(robots, _OTHER_SEEDS + seed) if crowded else (_READY, _READY)
+    poses = [robot.kinematics(q).tips.first for robot, q in zip(robots, goals)]
+    found = moved(robots, starts, (poses[0], poses[1]), ((base(1),), (base(0),)), parameters)
+    motions = [Motion.through(capsules_of(robot), path)
+               for robot, path in zip(robots, found.positions)]
     nearest = min((motions[0].to_other(motions[1]), *(motion.to_itself() for motion in motions),
                    *(motions[side].to_obstacles((base(1 - side),), DT) for side in (0, 1))),
                   key=lambda approach: approach.distance)
     return Outcome(
-        seed, (states[0].value, states[1].value), (since[0], since[1]), nearest.distance,
-        max(limit_violation(robot, np.array(path), np.array(speeds), DT)
-            for robot, path, speeds in zip(robots, positions, velocities)), str(nearest))
+        seed, (found.states[0].value, found.states[1].value), found.since, nearest.distance,
+        max(limit_violation(robot, path, speeds, DT) for robot, path, speeds in zip(
+            robots, found.positions, found.velocities)), str(nearest))
 
 
 def _job(job: tuple[int, str, bool]) -> Outcome:

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmark import tips
 from benchmark.generator import generate
 from benchmark.judge import accelerations, reversals
-from benchmark.tip_bodies import BODIES, make_body
+from benchmark.tip_bodies import arms_of, BODIES, make_body
 from benchmark.tips import DT
 from redundant_planner.core import planner as planner_module
 from redundant_planner.core.obstacles.obstacle import Obstacle
@@ -31,7 +31,7 @@ KEYS = {'count', 'arrived', 'contacts', 'violations', 'relative_mm_max', 'time_m
 @pytest.mark.first_alone
 @pytest.mark.parametrize('arguments', [
     ('--body', 'lift'), ('--body', 'lift', '--coupled'), ('--body', 'base'),
-    ('--body', 'baxter'), ('--body', 'tiago_dual')])
+    ('--body', 'baxter'), ('--body', 'baxter', '--separate'), ('--body', 'tiago_dual')])
 def test_bodies_get_to_their_targets(arguments, tmp_path):
     file = tmp_path / 'found.json'
     tips.main([*arguments, '--count', '2', '--seed', '3', '--jobs', '1', '--json', str(file)])
@@ -61,9 +61,28 @@ def test_the_judge_sees_a_touch_and_a_limit_that_is_exceeded():
     assert found.clearance < 0.0 and 'ball' in found.nearest and found.violation > 0.9
 
 
-def test_a_base_has_no_hands_to_couple():
+@pytest.mark.parametrize('how', ['--coupled', '--separate'])
+def test_a_base_has_no_two_hands(how):
     with pytest.raises(SystemExit):
-        tips.main(['--body', 'base', '--coupled'])
+        tips.main(['--body', 'base', how])
+
+
+def test_arms_by_themselves_are_where_the_body_has_them():
+    robot = make_body('lift')
+    q = tips.problem_of(robot, 0, on_a_base=False).start
+    whole = robot.kinematics(q)
+    for tip, (arm, own) in enumerate(arms_of(robot, q)):
+        assert arm.joint_names == tuple(np.array(robot.joint_names)[own])
+        found = arm.kinematics(q[own])
+        assert np.allclose(found.tip_positions[0], whole.tip_positions[tip])
+        assert np.allclose(found.tip_rotations[0], whole.tip_rotations[tip])
+        # The lift is held; of the other arm there is only the foot that stands on it.
+        own_name, other_foot = (('left', 'right_base'), ('right', 'left_base'))[tip]
+        chosen = [i for i, capsule in enumerate(robot.capsules)
+                  if capsule.name.startswith(own_name) or capsule.name == other_foot]
+        assert [capsule.name for capsule in arm.capsules] == [
+            robot.capsules[i].name for i in chosen]
+        assert np.allclose(found.segment_end, whole.segment_end[chosen])
 
 
 def test_what_slows_one_arm_down_does_not_shake_the_other(monkeypatch):

@@ -113,7 +113,7 @@ class RoboPlan:
         """Make tasks, limits and barrier, which know the period."""
         oink, robot, self._dt = self._oink, self._robot, dt
         position, rotation = costs(robot)
-        goal = CartesianConfiguration('universe', 'tip', np.eye(4))
+        goal = CartesianConfiguration('universe', 'tip0', np.eye(4))
         self._task = FrameTask(oink, self._scene, goal, FrameTaskOptions(
             position_cost=position[0], orientation_cost=rotation[0], lm_damping=_DAMPING))
         posture = ConfigurationTask(
