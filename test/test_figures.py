@@ -21,9 +21,13 @@ from benchmark.figures import (
     RUN,
     said,
     table_of,
+    TOP,
 )
 from benchmark.peers import PEERS
 
+# A table that shows figures of that run, and of which questions.
+MARK = re.compile(r'<!-- figures: ([a-z_ ]+) -->\n\n((?:\|.*\n)+)')
+PAGES = [TOP / 'README.md', *sorted((TOP / 'docs').glob('*.md'))]
 ABOUT = json.loads((FOLDER / RUN).read_text())
 TEXT = PAGE.read_text()
 
@@ -75,6 +79,36 @@ def test_what_peers_do_better_stands_first_and_the_best_is_bold():
     assert lines[2] == '| theirs | 50 | **70** |'
     assert lines[3:6] == ['| ours | **1** | 2 |', '| alike | 0 | 0 |', '| nobody better | 3 | 2 |']
     assert lines[6] == '| not known |  | 2 |'
+
+
+def numbers(text: str) -> set[str]:
+    return set(re.findall(r'-?\d+(?:\.\d+)?(?:e-\d+)?', text))
+
+
+def not_in_the_run(page: str) -> set[str]:
+    """Return the numbers of a page's marked tables that their questions' tables do not have."""
+    tables = dict(zip((question.name for question in QUESTIONS), TEXT.split('\n## ')[1:]))
+    unknown = set()
+    for names, table in MARK.findall(page):
+        sections = '\n'.join(tables[name] for name in names.split())
+        there = numbers('\n'.join(re.findall(r'^\|.*', sections, flags=re.M)))
+        for row in table.splitlines()[2:]:
+            unknown |= numbers('|'.join(row.split('|')[2:])) - there
+    return unknown
+
+
+def test_tables_of_other_pages_have_the_figures_of_this_run():
+    texts = {page.name: page.read_text() for page in PAGES}
+    assert {name for name, text in texts.items() if MARK.search(text)} >= {
+        'README.md', 'from_mink.md'}
+    for name, text in texts.items():
+        assert text.count('<!-- figures') == len(MARK.findall(text)), name
+        assert not not_in_the_run(text), name
+
+
+def test_a_figure_of_another_run_is_noticed():
+    text = '<!-- figures: moving -->\n\n| | a |\n|---|---|\n| of 77 scenes | 123.4567 |\n'
+    assert not_in_the_run(text) == {'123.4567'}
 
 
 @pytest.mark.parametrize(('value', 'text'), [
