@@ -24,7 +24,7 @@ MUJOCO = ['mujoco>=3.2', 'matplotlib>=3.6']
 # playground: the page (viser is MIT), the Panda it begins with, and its bags' reports.
 VIEWER = ['viser>=1.1,<2', 'example-robot-data', *ANALYSIS]
 # For `python -m benchmark.…` alone: what is compared with, and the optimum.
-# (cbfpy brings JAX, 0.6 GB; its newest release takes Python 3.11 and later.)
+# (cbfpy brings JAX, 0.6 GB, whose newest release takes Python 3.11 and later.)
 BENCHMARK = ['casadi', 'mink', 'pin-pink', 'roboplan>=0.7', 'toppra>=0.6',
              'cbfpy>=0.1; python_version >= "3.11"']
 # `make docs`; furo is the theme (MIT), myst-parser reads Markdown (MIT).

@@ -346,10 +346,11 @@ def _options(args: list[str] | None) -> argparse.Namespace:
         prog='benchmark.tips', description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--body', choices=BODIES, default=BODIES[0])
-    parser.add_argument('--coupled', dest='how', action='store_const', const='coupled',
-                        help='both hands hold one object')
-    parser.add_argument('--separate', dest='how', action='store_const', const='separate',
-                        help='each arm has a planner of its own')
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument('--coupled', dest='how', action='store_const', const='coupled', default='',
+                     help='both hands hold one object')
+    how.add_argument('--separate', dest='how', action='store_const', const='separate',
+                     help='each arm has a planner of its own')
     parser.add_argument('--count', type=int, default=100)
     parser.add_argument('--seed', type=int, default=0, help='first seed')
     parser.add_argument('--method', choices=METHODS, default='dynamic_factor')
