@@ -6,7 +6,7 @@ age (Brookner 1998), says where the signal was one lag ago: mostly between two s
 does little. It changes with each sample. What is followed comes from it by a critically damped
 filter of third order that knows the cubic's derivatives: it has no lag of its own, and its
 acceleration is continuous whatever the samples do. The noisier the samples, the more of them are
-averaged, and the slower the filter.
+averaged, the slower the filter, and the longer the lag, by up to 30 %.
 """
 
 from __future__ import annotations
@@ -31,13 +31,11 @@ _MEMORY, _LESS_MEMORY = 0.75, 0.55
 # How fast the filter is, over the lag.
 _BANDWIDTH = 3.5
 # At this much noise in samples of this rate, in gates (1 mm of a position at 30 Hz), weights fade
-# slower by so many lags, and the filter is slower by such a share; with less noise, by less. It is
-# known from fourth differences of samples that are evenly apart, whose variance is 70 times its
-# own, averaged over some samples.
-_NOISE, _NOISE_RATE, _MORE_MEMORY, _SLOWER, _EVENLY = 0.011, 30.0, 1.5, 0.75, 1.5
-# Where many samples tell the same as few within so many times the noise, many count; where they
-# are twice as far apart, few: the signal bends.
-_AGREES = 3.0
+# slower by so many lags, the filter is slower by such a share, and the lag is longer by such a
+# share; with less noise, by less. It is known from fourth differences of samples that are evenly
+# apart, whose variance is 70 times its own, averaged over some samples.
+_NOISE, _NOISE_RATE, _EVENLY = 0.012, 30.0, 1.5
+_MORE_MEMORY, _SLOWER, _LONGER = 1.2, 0.75, 0.3
 _DIFFERENCES, _VARIANCE, _SAMPLES = np.array((1.0, -4.0, 6.0, -4.0, 1.0)), 70.0, 20.0
 # Numbers of the cubic.
 _ORDER = 4
@@ -126,6 +124,7 @@ class Smoother:
         self._delays, self._gaps = _Usual(), _Usual()
         self._delay = 0.0
         self._behind = lag
+        self._added = 0.0
         self._begin(first)
         self._then = self._fit  # what was given last, at `_now`
 
@@ -164,9 +163,12 @@ class Smoother:
         while self._waiting and self._waiting[0].time <= now - self._delay:
             self._use(self._waiting.popleft())
         before = self._behind
-        wished = self._lag and max(self._lag, self._delay + _GAPS * self._gaps.value)
+        # Slowly: a lag that changes is a signal that is too fast or too slow.
+        self._added += (_LONGER * self._noisy - self._added) * min(dt / _KNOWN, 1.0)
+        wished = self._lag and max(
+            (1.0 + self._added) * self._lag, self._delay + _GAPS * self._gaps.value)
         self._behind += _bounded(wished - before, pace)
-        rate = (1.0 - _SLOWER * self._slower) * _BANDWIDTH / max(
+        rate = (1.0 - _SLOWER * self._noisy) * _BANDWIDTH / max(
             self._scale, _GAPS * self._gaps.value)
         reference = self._reference(now - self._behind)
         # The filter's error is that against the reference of now at the time of then.
@@ -181,7 +183,7 @@ class Smoother:
     def _begin(self, first: Sample) -> None:
         """Begin anew with a sample."""
         self._used: deque[Sample] = deque([first], maxlen=_MOST)
-        self._variance, self._noisy, self._slower = 0.0, 0.0, 0.0
+        self._variance, self._noisy = 0.0, 0.0
         self._off: deque[float] = deque(maxlen=_RECENT)
         self._doubtful: Sample | None = None
         self._refit()
@@ -237,25 +239,13 @@ class Smoother:
         self._noisy = min(max(self._scale / gap - _GAPS, 0.0), 1.0) * min(noise, 1.0)
 
     def _refit(self) -> None:
-        """Find the cubic through the samples used, at the newest one.
-
-        Of noisy samples more are averaged, as long as that tells the same as few, within noise.
-        """
+        """Find the cubic through the samples used, at the newest one: of noisy ones, more."""
         times = np.array([sample.time for sample in self._used]) - self._used[-1].time
         values = np.array([sample.value for sample in self._used])
         spacing = -times[0] / max(len(times) - 1, 1)
-        few = max(_MEMORY * max(self._scale, _GAPS * spacing) - _LESS_MEMORY * spacing, _INSTANT)
-        self._fit, self._slower = _cubic(times, values, few), 0.0
-        if self._noisy == 0.0:
-            return
-        many = _cubic(times, values, few + self._noisy * _MORE_MEMORY * self._scale)
-        behind = self._delay - self._behind
-        apart = float((np.abs(many.after(behind).value - self._fit.after(behind).value)
-                       / self._gate).max()) / math.sqrt(self._variance)
-        trust = min(max(2.0 - apart / _AGREES, 0.0), 1.0)
-        self._slower = trust * self._noisy
-        self._fit = Estimate(*(
-            trust * a + (1.0 - trust) * b for a, b in zip(many, self._fit)))
+        memory = max(_MEMORY * max(self._scale, _GAPS * spacing) - _LESS_MEMORY * spacing,
+                     _INSTANT) + self._noisy * _MORE_MEMORY * self._scale
+        self._fit = _cubic(times, values, memory)
 
 
 def _cubic(times: Array, values: Array, memory: float) -> Estimate:

@@ -55,8 +55,9 @@ _OUT_OF_REACH = 5e-3
 _CLOSE_BEHIND = 0.05
 # A stream that goes on after a silence is taken up in a line if it is no further away [m, rad].
 _NEAR, _NEAR_ANGLE = 0.3, 1.0
-# In what time the tip makes good what it is behind a target that moves [s].
-_CLOSING_TIME = 0.08
+# In what time the tip makes good what it is behind a target that moves [s], braking at such a
+# share of what the joints are able to.
+_CLOSING_TIME, _BRAKING = 0.08, 0.5
 # A way shorter than this is over [s at full speed].
 _OVER = 1e-7
 # With so little left an arm is not stuck [s at full speed].
@@ -182,27 +183,24 @@ class StraightWay:
         velocity = self._part(rates, reference)
         self.left = self._length(away)
         self._patience.note(self.left, start.dt)
-        if self._target.moves and self.left < _CLOSE_BEHIND:
+        if self._is_close_behind:
             self._patience = Patience()
         if self.left < _OVER and not rates.any():
             self._looked, self._seconds = None, 0.0
             return np.zeros(6), None
         self._age += start.dt
         now = self._in_base_axes(followed, reference)
-        looked = self._look(start, target, away, now)
-        profile = looked.profile
-        f = profile.speed_at(min(self.left, profile.left[0]), start.dt)
-        closing = f / max(self.left, _OVER)
-        if self._target.moves:
-            closing = min(closing, 1.0 / _CLOSING_TIME)
-        wanted = velocity + closing * away
-        twist = self._limited(wanted, now, profile.speeding_at(self.left), start.dt)
+        looked = self._looked = (
+            None if self._is_close_behind else self._look(start, target, away, now))
+        closing = self._closing(start, away, looked)
+        twist = self._limited(velocity + closing * away, now, start)
         # In command axes that turn with the tip: those of the middle of the tick.
         middle = se3.displaced(
             reference, np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
         twist = self._in_command_axes(twist, middle)
-        if self._target.moves:
+        if self._target.moves or looked is None:
             return twist, None
+        profile = looked.profile
         elapsed = float(np.interp(-self.left, -profile.left, looked.times))
         self._seconds = float(looked.times[-1]) - elapsed
         return twist, looked.preview.ahead(elapsed)
@@ -237,12 +235,50 @@ class StraightWay:
         share = away / self._full
         return max(math.sqrt(share[:3] @ share[:3]), math.sqrt(share[3:] @ share[3:]))
 
-    def _limited(self, twist: Array, before: Array, braking: float, dt: float) -> Array:
+    @property
+    def _is_close_behind(self) -> bool:
+        """Whether the target is a stream that the tip follows."""
+        return self._target.moves and self.left < _CLOSE_BEHIND
+
+    def _closing(self, start: Start, away: Array, looked: _Looked | None) -> float:
+        """Return which share of the way to make good [1/s].
+
+        Args:
+            start: of the tick.
+            away: (6,) the way, in base axes.
+            looked: what is known of it; None for a stream that is close ahead.
+        """
+        if looked is None:
+            braking = _BRAKING * self._ability(start, away)
+            return min(math.sqrt(2.0 * braking), 1.0 / _CLOSING_TIME)
+        profile = looked.profile
+        f = profile.speed_at(min(self.left, profile.left[0]), start.dt)
+        closing = f / max(self.left, _OVER)
+        return min(closing, 1.0 / _CLOSING_TIME) if self._target.moves else closing
+
+    def _limited(self, twist: Array, before: Array, start: Start) -> Array:
         """Return the twist that is nearest to the wanted one and no leap from the one before."""
-        leap = self._length(twist - before)
-        if leap <= braking * dt or leap == 0.0:
-            return twist
-        return before + braking * dt / leap * (twist - before)
+        leap = twist - before
+        return before + min(self._ability(start, leap) * start.dt, 1.0) * leap
+
+    def _ability(self, start: Start, change: Array) -> float:
+        """Return how much of a change of the twist the joints are able to make [1/s].
+
+        Args:
+            start: of the tick.
+            change: (6,) in base axes.
+        """
+        if not change.any():
+            return math.inf
+        tips = start.arm.tips
+        here = Pose(tips.position[self._tip], tips.rotation[self._tip])
+        there = se3.displaced(here, start.dt * change, False)
+        # From here to here is what the tips are beside their references: none of the change.
+        due = [self._all_tips(start, pose) for pose in (here, there)]
+        nodes = least_norm_path(self._robot, start.arm.q, Poses(*map(np.concatenate, zip(*due))),
+                                self._joints)
+        rates = np.abs(nodes[1] - nodes[0]) / start.dt
+        return 1.0 / max(float((rates / self._limits.acceleration_max).max()), _TINY)
 
     def _look(self, start: Start, target: Pose, away: Array, now: Array) -> _Looked:
         """Look along the way, if that is due."""
