@@ -56,19 +56,18 @@ class CurveSearch:
         self.space = space
         self.found: Array | None = None
         self.search = PathSearch(space, start, target, gives_way=gives_way)
-        self._scaling, self._attempts = scaling, 0
+        self._scaling, self._any_way = scaling, False
         self._polygon = np.empty((0, len(start)))  # corners of the curve found last
         self._work = self._curves()
 
-    def think(self, distances: int, attempts: int) -> None:
+    def think(self, distances: int, *, any_way: bool = False) -> None:
         """Go on looking for a curve.
 
         Args:
             distances: how much work that may be.
-            attempts: how many are enough, of which each makes a way as short as it becomes; 0
-                takes any way.
+            any_way: whether one that has not been made shorter will do.
         """
-        self._attempts = attempts
+        self._any_way = any_way
         until = self.space.spent + distances
         while self.found is None and self.space.spent < until:
             self.found = next(self._work)
@@ -95,7 +94,7 @@ class CurveSearch:
         for _ in search.work():
             yield None
             if search.way is not None and (
-                    search.straight or search.rounds >= self._attempts):
+                    search.straight or search.shortened or self._any_way):
                 break
         assert search.way is not None
         polygon = self._corners

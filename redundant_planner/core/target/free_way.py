@@ -33,14 +33,14 @@ Array = npt.NDArray[np.float64]
 
 # What looking at a distance takes, about, and what a tick spends on them at most [s].
 _DISTANCE, _MOST_WORK = 5e-8, 1.2e-3
-# How many attempts at a shorter way are enough, and after this time one, after that any way; after
-# that the tip goes as near as a line takes it [s].
-_ROUNDS, _SOON, _LATE, _LONGEST = 6, 0.028, 0.1, 1.0
+# After this time a way that has not been made shorter will do, too; after that the tip goes as
+# near as a line takes it [s].
+_LATE, _LONGEST = 0.1, 1.0
 # After this time without a way a tick works a quarter as much [s].
 _DILIGENT = 5.0
 # The rest of a way that is improved begins this far ahead of the arm [s], and is at least so many
 # control points long; after so many attempts in all it stays as it is.
-_AHEAD, _FEWEST_POINTS, _MOST_ROUNDS = 0.25, 4, 24
+_AHEAD, _FEWEST_POINTS, _MOST_ROUNDS = 0.15, 4, 24
 # Postures of a way that is followed that are looked at, to see whether it is still free, and how
 # often [s].
 _LOOKS_AHEAD, _LOOK_PERIOD = 12, 0.1
@@ -283,8 +283,7 @@ class FreeWay:
             return
         polygon = finder.found
         if polygon is None:
-            finder.think(self._work(start.dt), _ROUNDS if self._age < _SOON else
-                         1 if self._age < _LATE else 0)
+            finder.think(self._work(start.dt), any_way=self._age >= _LATE)
             self.out_of_reach = search.out_of_reach
         else:  # this tick has not worked yet
             if self._is_blocked(polygon, space()):
@@ -318,7 +317,7 @@ class FreeWay:
         elif way.parameter > self._rest - OVERLAP:
             self._rest = None  # too late for this one
         elif finder.found is None:
-            finder.think(self._work(start.dt), _ROUNDS)
+            finder.think(self._work(start.dt))
             self._improves = finder.found is not None or finder.search.rounds < _MOST_ROUNDS
         else:
             points, self._since = np.vstack((self._points[:self._rest], finder.found)), self._rest

@@ -74,6 +74,7 @@ class PathSearch:
         way: the shortest way that is known, None if none is.
         room: that it has [m].
         straight: whether it is one straight motion to the nearest goal that is known.
+        shortened: whether it has been made shorter, roughly at least.
         rounds: how many attempts have ended since the first way was found.
         out_of_reach: whether no posture with the tip at the pose is known after many guesses.
         aside: whether the way leads out of the way of others, and not to a goal.
@@ -92,7 +93,8 @@ class PathSearch:
         """
         self.way: Way | None = None
         self.room = self._price = np.inf
-        self.straight, self.rounds, self.out_of_reach, self.aside = False, 0, False, False
+        self.straight, self.shortened, self.rounds = False, False, 0
+        self.out_of_reach, self.aside = False, False
         self._trees: Trees | None = None  # the latest, of which the first begins at the start
         self._space, self._start, self._gives_way = space, space.begin_at(start), gives_way
         self._goals: list[Place] = []
@@ -123,6 +125,7 @@ class PathSearch:
             way = yield from self._connected(room, most_nodes)
             if way is not None:
                 way = yield from self._shortened(way, room, *_ROUGHLY)
+                self.shortened = True
                 if self._price_of(way, room) < _PROMISES * self._price:
                     yield from self._shortened(way, room, *_THOROUGHLY)
             self.rounds += self.way is not None
