@@ -38,6 +38,7 @@ from benchmark.problem_sets.families import FAMILIES
 from benchmark.problem_sets.judgement import collided, Judge as ProblemJudge
 from benchmark.problem_sets.servo import planner_step, servo
 from benchmark.robots import make_robot
+from benchmark.sent_motions import INPUTS, messages
 import redundant_planner
 from redundant_planner.core.horizon import look_ahead
 from redundant_planner.core.horizon.evasive_plan import EvasivePlan
@@ -205,8 +206,8 @@ def _stream(seed: int, parameters: PlannerParameters) -> Figures:
     start, signal, own = streams.start_of(robot, parameters, seed, joints=False)
     found = []
     for name in _STREAMS:
-        given = streams.INPUTS[name]
-        sent = streams.messages(signal, given, seed)
+        given = INPUTS[name]
+        sent = messages(signal, given, seed)
         found.append(streams.judged(robot, signal, *streams.run_stream(
             robot, parameters, start, sent, stamped=given.stamped), own, circle=False))
     return {'reversals': float(sum(one.reversals for one in found)),

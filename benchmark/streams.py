@@ -2,10 +2,10 @@
 
     python -m benchmark.streams --count 20 --seed 1
 
-Each run is a Panda at a random posture and one motion: a circle, an eight, or a hand (minimum-jerk
-submovements with tremor; Flash and Hogan 1985), of ten seconds, sent at a rate, with noise, in
-bursts, with gaps, or with frames that are wrong. The same motion given exactly, tick by tick, is
-run beside it: reversals that the motion itself asks of the joints count for nobody.
+Each run is a Panda at a random posture and one motion (`sent_motions`): a circle, an eight, or a
+hand, of ten seconds, sent at a rate, with noise, in bursts, with gaps, or with frames that are
+wrong. The same motion given exactly, tick by tick, is run beside it: reversals that the motion
+itself asks of the joints count for nobody.
 
 pink and mink (`--peer`) get the same targets behind a first-order filter of the same lag.
 """
@@ -13,7 +13,6 @@ pink and mink (`--peer`) get the same targets behind a first-order filter of the
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from itertools import pairwise
 import json
 import math
@@ -29,6 +28,7 @@ from rich.table import Table
 from benchmark.judge import accelerations, limit_violation, reversals
 from benchmark.peers import library, missing
 from benchmark.robots import make_robot
+from benchmark.sent_motions import BEGINS, INPUTS, LASTS, Message, messages, motion, RADIUS, Signal
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import METHODS, PlannerParameters
 from redundant_planner.core.planner import Planner
@@ -38,21 +38,8 @@ from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.core.target.progress import TargetState
 
 Array = npt.NDArray[np.float64]
-Signal = Callable[[float], Pose | Array]
 
 DT = 0.004
-# How long a motion takes to set off, and how long it is measured [s].
-_BEGINS, _LASTS = 1.0, 10.0
-# A circle and an eight [m], [1/s], and how far the hand turns meanwhile [rad].
-_RADIUS, _FREQUENCY, _TURN = 0.1, 0.4, 0.2
-# A hand: how far its submovements lead [m, rad], how long they take [s], and its tremor [m, 1/s].
-_REACH, _REACH_ANGLE, _SHORT, _LONG = 0.1, 0.3, 0.5, 1.2
-_TREMOR, _TREMOR_FREQUENCY = 2e-4, 9.0
-# Joints: how far [rad] and how often [1/s].
-_SWING, _SWINGS = 0.2, 0.2
-# Every so often a frame is wrong by so much, or the sender is silent for so long [s], [m], [s].
-_EVERY, _WRONG, _SILENT = 2.0, 0.2, 0.15
-_NOISE, _ANGLE_NOISE = 1e-3, 1e-3
 # An arm at rest: its fastest joint [rad/s].
 _AT_REST = 1e-3
 # Lags that are tried, in steps [s]; start postures are this far from the Panda's usual one [rad],
@@ -60,49 +47,6 @@ _AT_REST = 1e-3
 _LONGEST_LAG, _LAG_STEP = 0.6, 0.002
 _SPREAD, _FOLLOWS = 0.3, 2e-3
 _READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
-
-
-class Input(NamedTuple):
-    """How a motion is sent.
-
-    Attributes:
-        rate: of its messages [Hz].
-        noise: whether each is off by a millimetre and a milliradian (standard deviation).
-        burst: they come together once in so long [s].
-        wrong: whether a frame is 20 cm off now and then.
-        gaps: whether some are missing now and then.
-        stamped: whether they say when they are of.
-        joints: whether they are joint positions.
-    """
-
-    rate: float
-    noise: bool = False
-    burst: float = 0.0
-    wrong: bool = False
-    gaps: bool = False
-    stamped: bool = False
-    joints: bool = False
-
-
-INPUTS = {
-    **{f'{rate} Hz': Input(rate) for rate in (500, 250, 72, 30, 10, 5, 3)},
-    '72 Hz noise': Input(72, noise=True), '30 Hz noise': Input(30, noise=True),
-    '72 Hz bursts 0.1 s': Input(72, burst=0.1, stamped=True),
-    '72 Hz bursts 0.2 s': Input(72, burst=0.2, stamped=True),
-    '72 Hz bursts 0.2 s unstamped': Input(72, burst=0.2),
-    '72 Hz outliers': Input(72, wrong=True), '30 Hz outliers': Input(30, wrong=True),
-    '72 Hz gaps': Input(72, gaps=True),
-    'joints 72 Hz': Input(72, joints=True), 'joints 30 Hz': Input(30, joints=True),
-    'joints 10 Hz': Input(10, joints=True),
-}
-
-
-class Message(NamedTuple):
-    """A target, when it is of and when it comes [s]."""
-
-    target: Pose | Array
-    stamp: float
-    arrival: float
 
 
 class Outcome(NamedTuple):
@@ -118,85 +62,13 @@ class Outcome(NamedTuple):
     farthest: float
 
 
-def _eased(t: float) -> float:
-    """Return a time that begins gently: its rate rises from 0 to 1 within `_BEGINS`."""
-    x = min(t / _BEGINS, 1.0)
-    return _BEGINS * (x**3 - 0.5 * x**4) + max(t - _BEGINS, 0.0)
-
-
-def _minimum_jerk(x: float) -> float:
-    return x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
-
-
-def motion(robot: Robot, start: Array, seed: int, *, joints: bool) -> Signal:
-    """Return the motion of a seed, which begins at a posture (n,)."""
-    random = np.random.default_rng([seed, 5])
-    if joints:
-        swing = _SWING * random.uniform(0.5, 1.0, robot.n)
-        phases = random.uniform(0.0, 2.0 * math.pi, robot.n)
-
-        def sine(t: float) -> Array:
-            angle = 2.0 * math.pi * _SWINGS * _eased(t)
-            return np.asarray(start + swing * (np.sin(angle + phases) - np.sin(phases)))
-        return sine
-    arm = robot.kinematics(start)
-    here = Pose(arm.tip_position, arm.tip_rotation)
-    axes = np.linalg.qr(random.normal(size=(3, 3)))[0]
-    turn = axes @ random.normal(size=3)
-    turn *= _TURN / np.linalg.norm(turn)
-
-    def displaced(away: Array, angle: Array) -> Pose:
-        return integrate(here, np.concatenate((axes @ away, angle)), 1.0, False)
-    if seed % 3 < 2:
-        def curve(t: float) -> Pose:
-            angle = 2.0 * math.pi * _FREQUENCY * _eased(t)
-            sine, cosine = math.sin(angle), math.cos(angle)
-            away = (cosine - 1.0, sine, 0.0) if seed % 3 == 0 else (sine, sine * cosine, 0.0)
-            return displaced(_RADIUS * np.array(away), math.sin(0.5 * angle) * turn)
-        return curve
-    lengths = np.cumsum(random.uniform(_SHORT, _LONG, 40))
-    places = np.vstack((np.zeros(6), random.uniform(-1.0, 1.0, (40, 6)) * np.repeat(
-        (_REACH, _REACH_ANGLE), 3)))
-
-    def hand(t: float) -> Pose:
-        i = int(np.searchsorted(lengths, t))
-        begin = lengths[i - 1] if i else 0.0
-        share = _minimum_jerk((t - begin) / (lengths[i] - begin))
-        place = places[i] + share * (places[i + 1] - places[i])
-        tremor = _TREMOR * _eased(t) / (1.0 + t) * np.sin(
-            2.0 * math.pi * _TREMOR_FREQUENCY * t + np.array((0.0, 2.0, 4.0)))
-        return displaced(place[:3] + tremor, place[3:])
-    return hand
-
-
-def messages(signal: Signal, given: Input, seed: int) -> list[Message]:
-    """Return what is sent of a motion, in the order in which it comes."""
-    random = np.random.default_rng([seed, 6])
-    found = []
-    every = round(_EVERY * given.rate)
-    for i in range(int((_BEGINS + _LASTS) * given.rate) + 1):
-        stamp = i / given.rate
-        target = signal(stamp)
-        if given.gaps and i % every > every - _SILENT * given.rate:
-            continue
-        if isinstance(target, Pose):
-            off = np.concatenate((random.normal(size=3) * _NOISE,
-                                  random.normal(size=3) * _ANGLE_NOISE)) * given.noise
-            if given.wrong and i % every == every - 1:
-                off[:3] += _WRONG * random.choice((-1.0, 1.0)) * np.eye(3)[i % 3]
-            target = integrate(target, off, 1.0, False)
-        arrival = math.ceil(stamp / given.burst - 1e-9) * given.burst if given.burst else stamp
-        found.append(Message(target, stamp, arrival))
-    return found
-
-
 def run_stream(
     robot: Robot, parameters: PlannerParameters, start: Array, sent: list[Message], *,
     stamped: bool,
 ) -> tuple[Array, Array, list[TargetState]]:
     """Run the planner; return postures (k + 1, n), commands (k, n) and the states."""
     planner, scene = Planner(robot, parameters), Scene.of(())
-    count, at = round((_BEGINS + _LASTS) / DT), 0
+    count, at = round((BEGINS + LASTS) / DT), 0
     postures, commands = np.empty((count + 1, robot.n)), np.empty((count, robot.n))
     postures[0], states = start, []
     for i in range(count):
@@ -218,7 +90,7 @@ def run_exactly(
 ) -> tuple[Array, Array]:
     """Give the planner the motion itself, tick by tick; return postures and commands."""
     planner, scene = Planner(robot, parameters), Scene.of(())
-    count = round((_BEGINS + _LASTS) / DT)
+    count = round((BEGINS + LASTS) / DT)
     postures, commands = np.empty((count + 1, robot.n)), np.empty((count, robot.n))
     postures[0] = start
     for i in range(count):
@@ -238,7 +110,7 @@ def run_peer(
     """Run another library on the filtered targets; return postures and commands."""
     p = PlannerParameters()
     peer = library(name)(robot, (), p.clearance_margin, p.clearance_self_margin)
-    count, at = round((_BEGINS + _LASTS) / DT), 0
+    count, at = round((BEGINS + LASTS) / DT), 0
     postures, commands = np.empty((count + 1, robot.n)), np.empty((count, robot.n))
     postures[0] = start
     arm = robot.kinematics(start)
@@ -268,7 +140,7 @@ def judged(
         own: the reversals of the motion itself.
         circle: whether it is one.
     """
-    first = round(_BEGINS / DT)
+    first = round(BEGINS / DT)
     times = DT * np.arange(first, len(commands))
     where = _values(robot, postures[first:-1])
     grid = np.arange(0.0, _LONGEST_LAG, _LAG_STEP)
@@ -291,7 +163,7 @@ def judged(
         # The circle of least squares (Kåsa 1976).
         found = np.linalg.lstsq(np.column_stack((2.0 * flat, np.ones(len(flat)))),
                                 (flat * flat).sum(axis=1), rcond=None)[0]
-        radius = math.sqrt(found[2] + found[0] ** 2 + found[1] ** 2) / _RADIUS - 1.0
+        radius = math.sqrt(found[2] + found[0] ** 2 + found[1] ** 2) / RADIUS - 1.0
     turns = reversals(accelerations(commands, DT)[first:], robot.acceleration_max)
     return Outcome(
         max(turns - own, 0), float(lag), float(np.sqrt((error**2).mean())), abs(radius),
@@ -318,11 +190,11 @@ def start_of(robot: Robot, parameters: PlannerParameters, seed: int, *, joints: 
         start = _READY + random.uniform(-_SPREAD, _SPREAD, robot.n)
         signal = motion(robot, start, seed, joints=joints)
         postures, commands = run_exactly(robot, parameters, start, signal)
-        arm, end = robot.kinematics(postures[-1]), signal(_BEGINS + _LASTS)
+        arm, end = robot.kinematics(postures[-1]), signal(BEGINS + LASTS)
         if limit_violation(robot, postures, commands, DT) == 0.0 and (
                 not isinstance(end, Pose) or np.abs(pose_error(
                     end, Pose(arm.tip_position, arm.tip_rotation), False)).max() < _FOLLOWS):
-            first = round(_BEGINS / DT)
+            first = round(BEGINS / DT)
             return start, signal, reversals(
                 accelerations(commands, DT)[first:], robot.acceleration_max)
 

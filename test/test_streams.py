@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from benchmark.robots import make_robot
-from benchmark.streams import Input, INPUTS, judged, main, messages, motion, run_stream, start_of
+from benchmark.sent_motions import Input, INPUTS, messages, motion
+from benchmark.streams import judged, main, run_stream, start_of
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.se3 import Pose
 
