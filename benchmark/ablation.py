@@ -39,6 +39,7 @@ from benchmark.problem_sets.judgement import collided, Judge as ProblemJudge
 from benchmark.problem_sets.servo import planner_step, servo
 from benchmark.robots import make_robot
 from benchmark.sent_motions import INPUTS, messages
+from benchmark.target_problems import problem_of
 import redundant_planner
 from redundant_planner.core.horizon import look_ahead
 from redundant_planner.core.horizon.evasive_plan import EvasivePlan
@@ -169,7 +170,7 @@ def _swept(seed: int, parameters: PlannerParameters) -> Figures:
 
 def _target(seed: int, parameters: PlannerParameters) -> Figures:
     robot = _panda()
-    problem = targets.problem_of(robot, seed)
+    problem = problem_of(robot, seed)
     parameters = replace(parameters, target_path='free')
     ride = targets.planned(robot, problem, parameters)
     outcome = targets.judged(robot, problem, parameters, seed, ride)

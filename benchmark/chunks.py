@@ -29,7 +29,7 @@ from benchmark.bodies import capsules_of
 from benchmark.closest_approach import Motion
 from benchmark.judge import accelerations, limit_violation, reversals
 from benchmark.robots import make_robot
-from benchmark.targets import problem_of
+from benchmark.target_problems import problem_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters

@@ -17,7 +17,8 @@ from redundant_planner.core.target.progress import TargetState
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmark import targets
 from benchmark.peers import missing
-from benchmark.targets import DT, judged, planned, Problem, Ride, servoed
+from benchmark.target_problems import Problem
+from benchmark.targets import DT, judged, planned, Ride, servoed
 
 ROBOT, PARAMETERS = make_panda(), PlannerParameters()
 GOAL = PANDA_READY + np.array([0.9, 0.1, 0.0, -0.1, 0.0, 0.1, 0.0])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmark.robots import make_robot
-from benchmark.targets import problem_of
+from benchmark.target_problems import problem_of
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import distance_gradients, link_distances
 from redundant_planner.core.parameters import PlannerParameters
