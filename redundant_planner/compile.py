@@ -27,7 +27,7 @@ STEPS = (
     (('core.obstacles.clearance',), ('core.obstacles.self_collision',)),
     (('core.obstacles.near_pairs',),
      ('core.redundancy.null_space', 'core.redundancy.criteria', 'core.redundancy.reference')),
-    (('core.safety.barriers',),
+    (('core.safety.barriers', 'core.safety.self_motion', 'core.safety.singularity_row'),
      ('core.safety.pace', 'core.obstacles.nearby', 'core.safety.qp',
       'core.safety.position_command', 'core.safety.following')),
     (('core.tick',), ('core.horizon.path_linearised', 'core.horizon.path_qp')),

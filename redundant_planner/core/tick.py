@@ -29,6 +29,8 @@ from redundant_planner.core.safety import barriers as rows
 from redundant_planner.core.safety.barriers import barriers_in_compiled, Rows
 from redundant_planner.core.safety.limits import Limits, stopping_time
 from redundant_planner.core.safety.pace import pace, unseen_distances, unseen_share
+from redundant_planner.core.safety.self_motion import self_motion_rows, slow_self_motion
+from redundant_planner.core.safety.singularity_row import singularity_row
 
 Array = npt.NDArray[np.float64]
 
@@ -294,12 +296,12 @@ def _wish(
     at = rows.link_rows(found, at, own, constants)
     rows.ease_slight_intrusions(found, at, obstacles, parts, scaling, gains.clearance_gain)
     at = rows.cone_rows(found, at, start, constants.cone)
-    at = rows.singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
+    at = singularity_row(found, at, arm, parts, constants, gains.singularity_margin)
     if not intruded:
         first = at
-        at = rows.self_motion_rows(found, at, start, parts, limits, constants)
+        at = self_motion_rows(found, at, start, parts, limits, constants)
         if len(scaling) - len(twist) > 1:
-            rows.slow_self_motion(motions, found, first, at, constants)
+            slow_self_motion(motions, found, first, at, constants)
     barriers = barriers_in_compiled(room, at)
 
     share = unseen_share(near.unseen, can)

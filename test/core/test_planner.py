@@ -25,8 +25,8 @@ from redundant_planner.core.parameters import AXES, PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.capsules import Capsule
 from redundant_planner.core.robot.se3 import integrate
-from redundant_planner.core.safety.barriers import fastest_self_motion, STRAY, STRAY_ANGLE
 from redundant_planner.core.safety.limits import stopping_time
+from redundant_planner.core.safety.self_motion import fastest_self_motion, STRAY, STRAY_ANGLE
 from redundant_planner.core.safety.stage import Stage
 from redundant_planner.paper.method import PaperPlanner
 

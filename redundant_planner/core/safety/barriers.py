@@ -1,7 +1,8 @@
 """Barriers: what must not be used up in a tick, one function per kind of row.
 
 A row keeps h ≥ 0 by ∇h·q̇ + ∂h/∂t ≥ −rate · h. h is a clearance, a distance between two links, a
-singular value beyond its margin, or 0 where a row just bounds a velocity.
+singular value beyond its margin (`singularity_row`), or 0 where a row just bounds a velocity
+(`self_motion`).
 """
 
 from __future__ import annotations
@@ -13,15 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import RobotConstants
-from redundant_planner.core.kernels import (
-    compiled,
-    IndexPairs,
-    Indices,
-    kernel,
-    Matrix,
-    OutMatrix,
-    Vector,
-)
+from redundant_planner.core.kernels import compiled, IndexPairs, Indices, kernel, Matrix, Vector
 from redundant_planner.core.obstacles.clearance_gradients import bending
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import MOST_ACTING, NearPairs
@@ -30,8 +23,7 @@ from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.redundancy.null_space import Decomposition
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.cone import Cone, leaning
-from redundant_planner.core.robot.jacobian import derivative_between, jdot_qdot
-from redundant_planner.core.robot.kinematics import Kinematics, Links
+from redundant_planner.core.robot.kinematics import Links
 from redundant_planner.core.robot.link_motions import link_motions
 from redundant_planner.core.safety.limits import (
     barrier_rate,
@@ -48,12 +40,6 @@ OBSTACLE, LINK, CONE, OWN, SINGULARITY, SELF_MOTION = range(6)
 
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
 _FOUND_INSIDE = 1e-3
-# The singularity barrier is looked at below this multiple of its margin.
-_SINGULARITY_NEAR = 5.0
-# A singular value of a smaller share in its gradient costs more time than it tells.
-_COUNTS = 1e-4
-# Within that share of the margin about 0 the sign of a singular value does not count.
-_ROUNDING = 0.25
 # Share of the cone's angle that is kept free, and of the rest that counts. What has drifted out by
 # no more than this comes back; beyond twice that it counts as found outside [rad].
 _SPARE_IN_CONE, _CAUTION_IN_CONE, _DRIFT = 0.03, 0.4, 0.01
@@ -64,8 +50,6 @@ _SLIGHT, _SLOWLY_OUT = 2e-5, 1e-3
 _IN_PLACE = 5e-4
 # One for the singularity; besides, of each tip two for its cone and one for its null-space motion.
 _OTHER_ROWS, _ROWS_OF_TIP = 1, 3
-# How far the tip may leave its path while null-space motion is being braked [m], [rad].
-STRAY, STRAY_ANGLE = 2.5e-4, 2.5e-3
 
 
 class Barriers(NamedTuple):
@@ -352,134 +336,6 @@ def cone_rows(rows: Barriers, at: int, start: Start, cone: Cone) -> int:
             rows.kind[at] = CONE
             at += 1
     return at
-
-
-@kernel
-def singularity_row(
-    rows: Barriers, at: int, arm: Kinematics, parts: Decomposition, constants: RobotConstants,
-    margin: float,
-) -> int:
-    """Write a row that keeps the singular values, where one is small; return the next row.
-
-    It keeps s = (Σ 1/(σ_i² + ε²))^(−½), which is about √(σ² + ε²) where one value σ is small.
-    With σ_i's directions u_i and v_i, ∂σ_i/∂q_k = uᵢᵀ (∂J/∂q_k) v_i, and ∂s/∂q_k =
-    Σ_i s³ σ_i / (σ_i² + ε²)² ∂σ_i/∂q_k. The smallest value's own gradient jumps where two are
-    equal, and in a singularity itself; an arm that moves along there would shake. That of s does
-    not (docs/safety.md).
-    """
-    sigma, rounding = parts.singular_values, _ROUNDING * margin
-    if margin == 0.0 or sigma[-1] > _SINGULARITY_NEAR * margin:
-        return at
-    squares, total = sigma * sigma + rounding * rounding, 0.0
-    for i in range(len(sigma)):
-        total += 1.0 / squares[i]
-    mean = 1.0 / math.sqrt(total)
-    for i in range(len(sigma)):
-        share = mean ** 3 * sigma[i] / squares[i] ** 2
-        if share > _COUNTS:
-            rows.gradient[at] += share * derivative_between(
-                parts.left[:, i].copy(), arm.tip_jacobian, constants.scaling * parts.right[i],
-                arm.tip_rotations, constants.in_tool, constants.rows)
-    rows.value[at] = max(mean - math.sqrt(margin * margin + rounding * rounding), 0.0)
-    rows.kind[at] = SINGULARITY
-    return at + 1
-
-
-@compiled
-def fastest_self_motion(
-    arm: Kinematics, self_motion: Vector, limits: Limits, constants: RobotConstants,
-) -> float:
-    """Return how fast null-space motion h may be to stop next to the path [rad/s, m/s].
-
-    All joints slowing in proportion within T, the tip is accelerated by J̇ h while h lasts, and
-    has been moved aside by |J̇ h| T²/8 at the end (docs/safety.md). That grows with the fourth
-    power of the speed. Infinite where h is far from that.
-    """
-    rate = jdot_qdot(
-        arm.tip_jacobian, self_motion, arm.tip_rotations, constants.in_tool, constants.rows)
-    squared, squared_angle = 0.0, 0.0
-    for i in range(len(rate)):
-        if constants.rows[i] % 6 < 3:
-            squared += rate[i] * rate[i]
-        else:
-            squared_angle += rate[i] * rate[i]
-    stop = stopping_time(self_motion, limits.acceleration_max)
-    aside = stop * stop / 8.0 * max(
-        math.sqrt(squared) / STRAY, math.sqrt(squared_angle) / STRAY_ANGLE)
-    # A tick adds less than a tenth to a speed at which this matters.
-    if aside < 0.6:
-        return np.inf
-    return math.sqrt(np.sum(self_motion * self_motion)) / aside ** 0.25
-
-
-@kernel
-def _roots(parents: Indices) -> Indices:
-    """Return the joint (n,) at the base that each joint hangs on."""
-    roots = np.empty(len(parents), np.intp)
-    for j in range(len(roots)):
-        roots[j] = j if parents[j] == 0 else roots[parents[j] - 1]
-    return roots
-
-
-@kernel
-def self_motion_rows(
-    rows: Barriers, at: int, start: Start, parts: Decomposition, limits: Limits,
-    constants: RobotConstants,
-) -> int:
-    """Write rows that keep null-space motion slow enough to stop; return the next row.
-
-    Arms that share no joint have one each: with one for both, what slows the first would have to
-    push the second to and fro.
-    """
-    scaling, previous, dt = constants.scaling, start.previous, start.dt
-    self_motion = scaling * null_space.project(parts, previous / scaling)
-    slower = 1.0 - dt / max(stopping_time(previous, limits.acceleration_max), dt)
-    roots, own = _roots(constants.parents), np.empty(len(previous))
-    for root in range(len(roots)):
-        if roots[root] != root:
-            continue
-        for j in range(len(roots)):
-            own[j] = self_motion[j] if roots[j] == root else 0.0
-        fastest = fastest_self_motion(start.arm, own, limits, constants)
-        if fastest == np.inf:
-            continue
-        # h·q̇ / |h| may be that much at most, whatever the rate of the other barriers.
-        speed = math.sqrt(np.sum(own * own))
-        rows.gradient[at] = -own / speed
-        rows.time_derivative[at] = max(fastest, slower * np.sum(own * previous) / speed)
-        rows.kind[at], rows.first[at] = SELF_MOTION, root
-        at += 1
-    return at
-
-
-@kernel
-def slow_self_motion(
-    motions: OutMatrix, rows: Barriers, first: int, end: int, constants: RobotConstants,
-) -> None:
-    """Slow the wish down to what the rows of null-space motion let through.
-
-    They bound it along the motion of the last tick. In a null space of several dimensions the
-    filter would keep them by motion aside, which the next tick's row turns against: the arm shakes
-    where more than twice as much is asked for as may be.
-
-    Args:
-        motions: (3, n) see `Wish`.
-        rows: of the tick.
-        first, end: which of them are of null-space motion.
-        constants: the robot.
-    """
-    dq, least_norm, homogeneous = motions[0], motions[1], motions[2]
-    roots = _roots(constants.parents)
-    for row in range(first, end):
-        along, asked = -rows.gradient[row], rows.time_derivative[row]
-        wanted, given = np.sum(along * homogeneous), np.sum(along * least_norm)
-        if wanted <= 0.0 or given + wanted <= asked:
-            continue
-        share = max(asked - given, 0.0) / wanted
-        for j in range(len(roots)):
-            if roots[j] == rows.first[row]:
-                homogeneous[j] *= share
-                dq[j] = least_norm[j] + homogeneous[j]
 
 
 def with_rows(barriers: Barriers, more: Barriers) -> Barriers:
