@@ -14,7 +14,8 @@ the safety filter keeps both anyway.
 A step solves that with e and d linearised about a guess. What is left is a least-squares problem
 whose prices begin at a bound each. Those beyond their bound are found by solving it again until
 they stay the same. Its matrix is banded: a node shares terms with the next two. As much of the
-step is taken as makes the sum smaller. docs/safety.md has more.
+step is taken as makes the sum smaller. `evasive_plan` has the paths to begin with, and when the
+arm follows one.
 """
 
 from __future__ import annotations
@@ -25,9 +26,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.horizon.path_linearised import smallest_of
+from redundant_planner.core.horizon.least_squares import (
+    add_of_rate,
+    add_row,
+    smallest_of,
+    Squares,
+    Stencil,
+)
 from redundant_planner.core.horizon.poses_ahead import error_to, poses_at
-from redundant_planner.core.kernels import entry, kernel, Matrix, OutMatrix, OutVector, Vector
+from redundant_planner.core.kernels import entry, kernel, Matrix, OutVector, Vector
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.near_pairs import near_pairs_along, NearAlong
 from redundant_planner.core.robot.kinematics import along_in, Chain, KinematicsAlong
@@ -82,6 +89,30 @@ class Demand(NamedTuple):
     reserve: float
 
 
+class PathProblem(NamedTuple):
+    """What the sum above is of, but for the path.
+
+    Attributes:
+        q, previous: (n,) where the arm is, and its velocity [rad, m; per s].
+        due: where the tip is to be.
+        obstacles: the obstacles now, with what is kept from them.
+        chain, limits: of the arm.
+        scaling: (n,) 1 / square root of the joint weights.
+        times: (N,) of the nodes, from now [s].
+        demand: of clearances.
+    """
+
+    q: Vector
+    previous: Vector
+    due: Due
+    obstacles: InflatedObstacles
+    chain: Chain
+    limits: Limits
+    scaling: Vector
+    times: Vector
+    demand: Demand
+
+
 class Improved(NamedTuple):
     """A path after a step, and what was found of it.
 
@@ -104,18 +135,6 @@ class Improved(NamedTuple):
     threatened: bool
 
 
-class _Squares(NamedTuple):
-    """Half a sum of squares, ½ xᵀ H x + cᵀ x + constant, in the step x (N n,) of all nodes.
-
-    Attributes:
-        hessian: H (N n, N n); empty, like c, where only its value is asked for.
-        linear: c (N n,).
-    """
-
-    hessian: OutMatrix
-    linear: OutVector
-
-
 class _Sum(NamedTuple):
     """The sum about a path, without limits and clearances.
 
@@ -131,14 +150,6 @@ class _Sum(NamedTuple):
     near: NearAlong
 
 
-class _Stencil(NamedTuple):
-    """What a joint's positions at a node and the two before it count in a rate of it."""
-
-    now: float
-    before: float
-    earlier: float
-
-
 @kernel
 def _width(times: Vector, node: int) -> float:
     """Return the time from the node before to this one [s]."""
@@ -152,57 +163,17 @@ def _between(times: Vector, node: int) -> float:
 
 
 @kernel
-def _velocity_stencil(times: Vector, node: int) -> _Stencil:
+def _velocity_stencil(times: Vector, node: int) -> Stencil:
     per = 1.0 / _width(times, node)
-    return _Stencil(per, -per, 0.0)
+    return Stencil(per, -per, 0.0)
 
 
 @kernel
-def _acceleration_stencil(times: Vector, node: int) -> _Stencil:
+def _acceleration_stencil(times: Vector, node: int) -> Stencil:
     per = 1.0 / _between(times, node)
     now = per / _width(times, node)
     before = 0.0 if node == 0 else per / _width(times, node - 1)
-    return _Stencil(now, -now - before, before)
-
-
-@kernel
-def _add_row(
-    squares: _Squares, first: int, gradient: Vector, residual: float, price: float,
-) -> float:
-    """Add ½ price (residual + gradient · x)², of x from `first` on; return twice its value."""
-    hessian, linear = squares
-    for j in range(len(gradient) if len(linear) else 0):
-        slope = price * gradient[j]
-        if slope != 0.0:
-            linear[first + j] += slope * residual
-            for k in range(len(gradient)):
-                hessian[first + j, first + k] += slope * gradient[k]
-    return price * residual * residual
-
-
-@kernel
-def _add_of_rate(
-    squares: _Squares, at: int, n: int, stencil: _Stencil, residual: float, price: float,
-) -> float:
-    """Add ½ price (residual + stencil · (x_i, x_{i−1}, x_{i−2}))² of one joint, likewise.
-
-    Args:
-        squares, residual, price: as for `_add_of_node`.
-        at: where the joint of node i is in x; those of nodes before the first do not move.
-        n: number of joints.
-        stencil: of the rate.
-    """
-    hessian, linear = squares
-    for back in range(3 if len(linear) else 0):
-        row = at - back * n
-        slope = price * stencil[back]
-        if row < 0 or slope == 0.0:
-            continue
-        linear[row] += slope * residual
-        for other in range(3):
-            if at - other * n >= 0:
-                hessian[row, at - other * n] += slope * stencil[other]
-    return price * residual * residual
+    return Stencil(now, -now - before, before)
 
 
 @kernel
@@ -226,15 +197,17 @@ def _beyond(value: float, low: float, high: float) -> float:
 
 
 @kernel
-def _add_errors(squares: _Squares, arms: KinematicsAlong, due: Due, chain: Chain, step: float,
-                ) -> tuple[float, float, float]:
+def _add_errors(
+    squares: Squares, problem: PathProblem, arms: KinematicsAlong,
+) -> tuple[float, float, float]:
     """Add how far the tip is from its path.
 
     Returns:
         Twice the value, the largest ‖e‖, and that at the last node.
     """
-    along, price, largest, last = due.along, 0.0, 0.0, 0.0
+    due, chain, price, largest, last = problem.due, problem.chain, 0.0, 0.0, 0.0
     (m, n), tips = arms.jacobian.shape[1:], len(chain.tip_joints)
+    along, step = due.along, problem.times[-1] / len(due.behind)
     gradient = np.empty(n)
     for i in range(len(due.behind)):
         error = error_to(
@@ -254,36 +227,33 @@ def _add_errors(squares: _Squares, arms: KinematicsAlong, due: Due, chain: Chain
                 for k in range(m):
                     forward += along[k] * arms.jacobian[2 * i + 1, k, j]
                 gradient[j] = (1.0 - share) * along[r] * forward - arms.jacobian[2 * i + 1, r, j]
-            price += _add_row(squares, i * n, gradient, error[r], step)
+            price += add_row(squares, i * n, gradient, error[r], step)
         last = math.sqrt(squared)
         largest = max(largest, last)
     return price, largest, last
 
 
 @kernel
-def _add_motion(
-    squares: _Squares, q: Vector, previous: Vector, nodes: Matrix, scaling: Vector, times: Vector,
-) -> float:
+def _add_motion(squares: Squares, problem: PathProblem, nodes: Matrix) -> float:
     """Add velocities and accelerations; return twice the value."""
+    q, previous, scaling, times = problem.q, problem.previous, problem.scaling, problem.times
     price, n = 0.0, len(q)
     for i in range(len(nodes)):
         for j in range(n):
             velocity, acceleration = _rates(q, previous, nodes, i, j, times)
             weight = _width(times, i) / (scaling[j] * scaling[j])
-            price += _add_of_rate(
+            price += add_of_rate(
                 squares, i * n + j, n, _velocity_stencil(times, i), velocity, _EFFORT * weight)
-            price += _add_of_rate(
+            price += add_of_rate(
                 squares, i * n + j, n, _acceleration_stencil(times, i), acceleration,
                 _SMOOTHNESS * weight)
     return price
 
 
 @kernel
-def _add_limits(
-    squares: _Squares, q: Vector, previous: Vector, nodes: Matrix, trial: Matrix, limits: Limits,
-    times: Vector,
-) -> float:
+def _add_limits(squares: Squares, problem: PathProblem, nodes: Matrix, trial: Matrix) -> float:
     """Add the limits that trial nodes (N, n) exceed, about other ones; return twice the value."""
+    q, previous, limits, times = problem.q, problem.previous, problem.limits, problem.times
     price, n = 0.0, len(q)
     gradient = np.zeros(n)
     for i in range(len(nodes)):
@@ -292,20 +262,20 @@ def _add_limits(
             if _beyond(trial[i, j], low, high) != 0.0:
                 bound = high if trial[i, j] > high else low
                 gradient[j] = 1.0
-                price += _add_row(squares, i * n, gradient, nodes[i, j] - bound, _POSITION_PRICE)
+                price += add_row(squares, i * n, gradient, nodes[i, j] - bound, _POSITION_PRICE)
                 gradient[j] = 0.0
             velocity, acceleration = _rates(q, previous, trial, i, j, times)
             now, changing = _rates(q, previous, nodes, i, j, times)
             most = _VELOCITY_SHARE * limits.velocity_max[j]
             if abs(velocity) > most:
-                price += _add_of_rate(
+                price += add_of_rate(
                     squares, at, n, _velocity_stencil(times, i),
                     now - math.copysign(most, velocity), _RATE_PRICE)
             # The first node's is the mean on the way there: it is half of what it starts with.
             since = _between(times, i)
             most = _ACCELERATION_SHARE * limits.acceleration_max[j] * (0.5 if i == 0 else 1.0)
             if abs(acceleration) > most:
-                price += _add_of_rate(
+                price += add_of_rate(
                     squares, at, n, _acceleration_stencil(times, i),
                     changing - math.copysign(most, acceleration), _RATE_PRICE * since * since)
     return price
@@ -313,22 +283,21 @@ def _add_limits(
 
 @kernel
 def _add_clearances(
-    squares: _Squares, near: NearAlong, nodes: Matrix, trial: Matrix, demand: Demand,
-    step: float, acting: OutVector,
+    squares: Squares, problem: PathProblem, near: NearAlong, nodes: Matrix, trial: Matrix,
+    acting: OutVector,
 ) -> tuple[float, bool]:
     """Add the clearances that trial nodes (N, n) fall short of, likewise.
 
     Args:
-        squares, nodes, trial: see above.
+        squares, problem, nodes, trial: see above.
         near: pairs, linearised about the nodes.
-        demand: of clearances.
-        step: Δ [s].
         acting: (p,) 1 for pairs that were added the last time, else 0; brought up to date.
 
     Returns:
         Twice the value, and whether others act than the last time.
     """
-    price, changed, n = 0.0, False, nodes.shape[1]
+    price, changed, (count, n) = 0.0, False, nodes.shape
+    demand, step = problem.demand, problem.times[-1] / count
     for pair in range(len(near.postures)):
         node, smallest = near.postures[pair] // 2, near.smallest[pair]
         lack = near.normalized_distance[pair] * smallest - demand.reserve
@@ -345,63 +314,42 @@ def _add_clearances(
         changed = changed or acts != acting[pair]
         acting[pair] = acts
         if acts == 1.0:
-            price += _add_row(squares, first * n, gradient, lack, 0.5 * demand.price * step)
+            price += add_row(squares, first * n, gradient, lack, 0.5 * demand.price * step)
     return price, changed
 
 
 @kernel
-def _sum(
-    squares: _Squares, q: Vector, previous: Vector, nodes: Matrix, due: Due,
-    obstacles: InflatedObstacles, chain: Chain, scaling: Vector, times: Vector, within: float,
-) -> _Sum:
-    """Add what always counts about a path, and find the pairs that are nearer than `within` [m].
-
-    Other arguments as for `improved`.
-    """
-    count, n = nodes.shape
+def _sum(squares: Squares, problem: PathProblem, nodes: Matrix, within: float) -> _Sum:
+    """Add what always counts about a path; find the pairs that are nearer than `within` [m]."""
+    q, times, (count, n) = problem.q, problem.times, nodes.shape
     # Halfway between two nodes the arm is looked at, too: a fast obstacle passes there.
     seen, seen_times = np.empty((2 * count, n)), np.empty(2 * count)
     for i in range(count):
         before, earlier = (q, 0.0) if i == 0 else (nodes[i - 1], times[i - 1])
         seen[2 * i], seen_times[2 * i] = 0.5 * (before + nodes[i]), 0.5 * (earlier + times[i])
         seen[2 * i + 1], seen_times[2 * i + 1] = nodes[i], times[i]
-    arms = along_in(seen, chain)
-    near = near_pairs_along(obstacles, arms, chain, seen_times, within)
-    of_errors, deviation, at_end = _add_errors(squares, arms, due, chain, times[-1] / count)
-    of_motion = _add_motion(squares, q, previous, nodes, scaling, times)
-    return _Sum(of_errors + of_motion, deviation, at_end, near)
+    arms = along_in(seen, problem.chain)
+    near = near_pairs_along(problem.obstacles, arms, problem.chain, seen_times, within)
+    of_errors, deviation, at_end = _add_errors(squares, problem, arms)
+    return _Sum(of_errors + _add_motion(squares, problem, nodes), deviation, at_end, near)
 
 
 @entry
-def improved(
-    q: Vector, previous: Vector, nodes: Matrix, due: Due, obstacles: InflatedObstacles,
-    chain: Chain, limits: Limits, scaling: Vector, times: Vector, demand: Demand,
-) -> Improved:
-    """Return a path that leaves the commanded one less.
-
-    Args:
-        q, previous: (n,) where the arm is, and its velocity [rad, m; per s].
-        nodes: (N, n) the path.
-        due: where the tip is to be.
-        obstacles: the obstacles now, with what is kept from them.
-        chain, limits: of the arm.
-        scaling: (n,) 1 / square root of the joint weights.
-        times: (N,) of the nodes, from now [s].
-        demand: of clearances.
-    """
+def improved(problem: PathProblem, nodes: Matrix) -> Improved:
+    """Return a path (N, n) that leaves the commanded one less than another one does."""
     count, n = nodes.shape
-    size, step = count * n, times[-1] / count
-    always = _Squares(_DAMPING * np.eye(size), np.zeros(size))
-    best = _sum(always, q, previous, nodes, due, obstacles, chain, scaling, times, _PAIRS_WITHIN)
+    size = count * n
+    always = Squares(_DAMPING * np.eye(size), np.zeros(size))
+    best = _sum(always, problem, nodes, _PAIRS_WITHIN)
     price = best.price
-    squares = _Squares(np.empty((size, size)), np.empty(size))
+    squares = Squares(np.empty((size, size)), np.empty(size))
     x, trial, found = np.zeros(size), nodes.copy(), nodes
     acting = np.zeros(len(best.near.postures))
     for solution in range(_SOLUTIONS):
         squares.hessian[:], squares.linear[:] = always.hessian, always.linear
-        of_limits = _add_limits(squares, q, previous, nodes, trial, limits, times)
+        of_limits = _add_limits(squares, problem, nodes, trial)
         of_clearances, changed = _add_clearances(
-            squares, best.near, nodes, trial, demand, step, acting)
+            squares, problem, best.near, nodes, trial, acting)
         if solution == 0:
             price += of_limits + of_clearances
         elif not changed:
@@ -410,17 +358,16 @@ def improved(
         trial = nodes + x.reshape(count, n)
     threatened = bool(np.any(acting > 0.0))
     # Distances bend on the way: the whole step may lead to a worse path.
-    none, share = _Squares(np.empty((0, 0)), np.empty(0)), 1.0
+    none, share = Squares(np.empty((0, 0)), np.empty(0)), 1.0
     for _ in range(_SHARES):
         for i in range(count):
             for j in range(n):
                 trial[i, j] = nodes[i, j] + share * min(
                     max(x[i * n + j], -_LARGEST_STEP), _LARGEST_STEP)
-        then = _sum(
-            none, q, previous, trial, due, obstacles, chain, scaling, times, demand.reserve)
-        now = then.price + _add_limits(none, q, previous, trial, trial, limits, times)
+        then = _sum(none, problem, trial, problem.demand.reserve)
+        now = then.price + _add_limits(none, problem, trial, trial)
         now += _add_clearances(
-            none, then.near, trial, trial, demand, step, np.zeros(len(then.near.postures)))[0]
+            none, problem, then.near, trial, trial, np.zeros(len(then.near.postures)))[0]
         if now < price:
             best, price, found = then, now, trial
             break

@@ -21,6 +21,7 @@ from redundant_planner.core.horizon.evasive_path import (
     Due,
     Improved,
     improved,
+    PathProblem,
     RESERVE,
 )
 from redundant_planner.core.horizon.poses_ahead import poses_ahead
@@ -235,10 +236,10 @@ class EvasivePlan:
                             np.append(0.0, times), robot.in_tool)
         along = robot.task_rows(command)
         speed = math.sqrt(along @ along)
-        found = improved(
-            start.arm.q, start.previous, nodes,
-            Due(poses, along / speed if speed > 0.0 else along, speed * times),
-            obstacles, robot.chain, self._limits, self._scaling, times, demand)
+        due = Due(poses, along / speed if speed > 0.0 else along, speed * times)
+        found = improved(PathProblem(
+            start.arm.q, start.previous, due, obstacles, robot.chain, self._limits, self._scaling,
+            times, demand), nodes)
         return found if math.isfinite(found.price) and np.isfinite(found.nodes).all() else None
 
 

@@ -19,6 +19,7 @@ from redundant_planner.core.horizon.least_norm_path import (
     SQUARED_DAMPING,
     step_to_pose,
 )
+from redundant_planner.core.horizon.least_squares import smallest_of
 from redundant_planner.core.horizon.poses_ahead import error_to, poses_at
 from redundant_planner.core.kernels import compiled, entry, Indices, kernel, Matrix, Stack, Vector
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -181,36 +182,6 @@ def stepped(base: Matrix, directions: Stack, w: Vector) -> Array:
             for j in range(n):
                 nodes[i, j] += w[i * free + k] * directions[i, k, j]
     return nodes
-
-
-@compiled
-def smallest_of(hessian: Matrix, linear: Vector, band: int) -> Array:
-    """Return the w of least ½ wᵀ H w + cᵀ w, by a Cholesky decomposition of H.
-
-    Args:
-        hessian: H (k, k), positive definite.
-        linear: c (k,).
-        band: entries of H that are further than this from its diagonal are 0.
-    """
-    size = len(linear)
-    lower, w = np.zeros((size, size)), np.empty(size)
-    for i in range(size):
-        first = max(i - band, 0)
-        for j in range(first, i + 1):
-            total = hessian[i, j]
-            for k in range(first, j):
-                total -= lower[i, k] * lower[j, k]
-            lower[i, j] = math.sqrt(total) if i == j else total / lower[j, j]
-        total = -linear[i]
-        for k in range(first, i):
-            total -= lower[i, k] * w[k]
-        w[i] = total / lower[i, i]
-    for i in range(size - 1, -1, -1):
-        total = w[i]
-        for k in range(i + 1, min(i + band + 1, size)):
-            total -= lower[k, i] * w[k]
-        w[i] = total / lower[i, i]
-    return w
 
 
 @kernel

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from redundant_planner.core.constants import limits_of
-from redundant_planner.core.horizon.evasive_path import Demand, Due, improved
+from redundant_planner.core.horizon.evasive_path import Demand, Due, improved, PathProblem
 from redundant_planner.core.horizon.poses_ahead import poses_ahead
 from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
@@ -41,8 +41,9 @@ class Problem:
             along / max(speed, 1e-12), speed * self.times[1:])
 
     def step(self, nodes, demand=DEMAND):
-        return improved(self.q, self.previous, nodes, self.due, self.obstacles, self.robot.chain,
-                        self.limits, self.scaling, TIMES, demand)
+        return improved(PathProblem(
+            self.q, self.previous, self.due, self.obstacles, self.robot.chain, self.limits,
+            self.scaling, TIMES, demand), nodes)
 
     def settled(self, nodes, steps=60):
         for _ in range(steps):
