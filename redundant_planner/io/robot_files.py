@@ -20,6 +20,7 @@ from redundant_planner.core.errors import known, ParameterError, PlannerError, s
 from redundant_planner.core.parameters import AXES
 from redundant_planner.core.robot import model
 from redundant_planner.core.robot.capsules import Capsule
+from redundant_planner.core.robot.tips import Axes
 from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import links_without_shape
 from redundant_planner.io.link_shapes import capsule_entry, fitted_capsules, larger_than_the_rest
@@ -67,7 +68,7 @@ class Robot(model.Robot):
         tips: Sequence[str] = (),
         base_frame: str = '',
         locked_positions: Mapping[str, float] | None = None,
-        axes: model.Axes = AXES,
+        axes: Axes = AXES,
         command_frame: str = 'base',
         position_limits: Mapping[str, tuple[float, float]] | None = None,
         velocity_max: Sequence[float] | float | None = None,

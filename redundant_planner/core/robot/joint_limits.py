@@ -1,4 +1,4 @@
-"""What the joints of a chain may do, and where each number is from."""
+"""What the joints of a chain may do and how unwilling they are, and where each limit is from."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.errors import known, RobotError
+from redundant_planner.core.errors import known, RobotError, shown
 from redundant_planner.core.numbers import floats_of
 from redundant_planner.core.robot.urdf import Joint, LARGEST
 
@@ -106,6 +106,22 @@ def position_ranges(chain: Sequence[Joint]) -> tuple[Array, Array]:
                              f'{joint.lower}; correct them or lock it')
     return (np.array([joint.lower for joint in chain]),
             np.array([joint.upper for joint in chain]))
+
+
+def checked_weights(weights: Values, names: Sequence[str]) -> Array:
+    """Return the weights (n,) of joints, which are given as one value or as n; read-only.
+
+    Raises:
+        RobotError: they are not as many as the joints, or not positive numbers.
+    """
+    given = floats_of(weights)
+    if given.shape not in ((), (1,), (len(names),)) or not (
+            (given > 0.0) & (given < np.inf)).all():
+        raise RobotError(f'weights are {shown(weights)}; they must be one positive number, or one '
+                         f'for each of {known(names)}')
+    found = np.full(len(names), 1.0) * given
+    found.setflags(write=False)
+    return found
 
 
 def _positions(

@@ -10,16 +10,21 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from redundant_planner.core.errors import known, RobotError, shown, StateError
+from redundant_planner.core.errors import known, RobotError, StateError
 from redundant_planner.core.machine_code.packed import Packed
-from redundant_planner.core.numbers import floats_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import AXES, COMMAND_FRAMES
 from redundant_planner.core.robot import capsules as shapes
 from redundant_planner.core.robot.capsules import Capsule
-from redundant_planner.core.robot.joint_limits import joint_limits, position_ranges, Ranges, Values
+from redundant_planner.core.robot.chain import chain_of
+from redundant_planner.core.robot.joint_limits import (
+    checked_weights,
+    joint_limits,
+    position_ranges,
+    Ranges,
+    Values,
+)
 from redundant_planner.core.robot.kinematics import (
-    Chain,
     fill_kinematics,
     Kinematics,
     kinematics_along,
@@ -29,18 +34,17 @@ from redundant_planner.core.robot.kinematics import (
 )
 from redundant_planner.core.robot.payload import payload_capsules
 from redundant_planner.core.robot.pinocchio_model import (
-    joint_placements,
     link_id,
     link_names,
+    links_on,
     model_of_chain,
     tree_joints,
 )
+from redundant_planner.core.robot.tips import Axes, checked_axes, checked_tips, controlled_rows
 from redundant_planner.core.robot.urdf import read_urdf
 
 Array = npt.NDArray[np.float64]
 Arm = TypeVar('Arm', bound='Robot')
-# Controlled axes of every tip, or tip → its own.
-Axes = Sequence[str] | Mapping[str, Sequence[str]]
 
 # A posture further away is none: a continuous joint that turns at 10 rad/s gets there in a day.
 _FARTHEST = 1e6
@@ -128,7 +132,7 @@ class Robot:
         described = read_urdf(urdf)
         self.name: str = described.name
         self.base_frame = base_frame or described.root
-        self.tips = _checked_tips(tip_frame, tips)
+        self.tips = checked_tips(tip_frame, tips)
         self.tip_frame = self.tips[0]
         chain = tree_joints(described, self.base_frame, self.tips, locked_positions or {})
         self._model = model_of_chain(
@@ -137,8 +141,9 @@ class Robot:
         self._links: dict[str, tuple[int, Array]] = {}  # frame, and which joints move it
         self.joint_names: tuple[str, ...] = tuple(self._model.names)[1:]
         chain.sort(key=lambda joint: self.joint_names.index(joint.name))
-        axes_of_tips = _axes_of_tips(axes, self.tips)
+        axes_of_tips = checked_axes(axes, self.tips)
         self.axes = axes_of_tips[0]
+        self.rows = controlled_rows(axes_of_tips)
         if command_frame not in COMMAND_FRAMES:
             raise RobotError(
                 f"command_frame is '{command_frame}'; it must be one of {known(COMMAND_FRAMES)}")
@@ -148,14 +153,11 @@ class Robot:
          self.jerk_max, self.limit_sources) = joint_limits(
             chain, positions=position_limits, velocity_max=velocity_max,
             acceleration_max=acceleration_max, jerk_max=jerk_max)
-        self.weights = _checked_weights(1.0 if weights is None else weights, self.joint_names)
+        self.weights = checked_weights(1.0 if weights is None else weights, self.joint_names)
         # Narrower limits change nothing about which links can meet: the arm may start beyond.
         self._reachable = position_ranges(chain)
 
         self._tip_ids = [link_id(self._model, tip) for tip in self.tips]
-        self.rows = np.array([
-            6 * t + AXES.index(axis) for t, axes_of_tip in enumerate(axes_of_tips)
-            for axis in axes_of_tip], dtype=np.intp)
         own = tuple(
             shapes.straight_capsules(self._model, self._tip_ids, link_radius)
             if capsules is None else capsules)
@@ -204,16 +206,12 @@ class Robot:
     @property
     def links_at_rest(self) -> tuple[str, ...]:
         """The links that no chain joint moves."""
-        return self._links_on(0)
+        return links_on(self._model, 0)
 
     @property
     def links_of_tip(self) -> tuple[str, ...]:
         """The links that move along with the tip, itself among them."""
-        return self._links_on(self._model.frames[self._tip_ids[0]].parentJoint)
-
-    def _links_on(self, joint: int) -> tuple[str, ...]:
-        return tuple(frame.name for frame in self._model.frames
-                     if frame.type == pin.FrameType.BODY and frame.parentJoint == joint)
+        return links_on(self._model, self._model.frames[self._tip_ids[0]].parentJoint)
 
     def in_link(self, target: str, source: str, points: Array) -> Array:
         """Return points (k, 3) given in one link's frame in another's on the same joint [m]."""
@@ -250,10 +248,10 @@ class Robot:
             RobotError: there is no such link.
         """
         pose, moving = self._pose_of(arm, link)
-        x, y, z = position = pose.rotation @ np.asarray(offset, dtype=float) + pose.translation
+        position = pose.rotation @ np.asarray(offset, dtype=float) + pose.translation
         # v₀ + w × x
-        turning = np.array(((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))
-        return position, moving * (arm.joint_screws[:3] + turning @ arm.joint_screws[3:])
+        return position, moving * (
+            arm.joint_screws[:3] + pin.skew(position).T @ arm.joint_screws[3:])
 
     def direction(
         self, arm: Kinematics, link: str, axis: npt.ArrayLike,
@@ -273,9 +271,8 @@ class Robot:
         """
         pose, moving = self._pose_of(arm, link)
         along = pose.rotation @ np.asarray(axis, dtype=float)
-        x, y, z = along = along / np.linalg.norm(along)
-        turning = np.array(((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))
-        return along, moving * (turning @ arm.joint_screws[3:])
+        along /= np.linalg.norm(along)
+        return along, moving * (pin.skew(along).T @ arm.joint_screws[3:])  # w × x
 
     def _pose_of(self, arm: Kinematics, link: str) -> tuple[pin.SE3, Array]:
         """Return a link's pose in the base frame, and 1 for each joint (n,) that moves it."""
@@ -375,7 +372,8 @@ class Robot:
     def _take_shapes(self, capsules: tuple[Capsule, ...], own: int) -> None:
         """Set all that follows from the link shapes, of which the first ones are the arm's own."""
         self.capsules, self._own = capsules, own
-        self.chain = self._chain()
+        self.chain = chain_of(
+            self._model, self._tip_ids, self.capsules, self.rows, in_tool=self.in_tool)
         self._packed_chain = Packed.of(self.chain)
         # Of the arrays that every posture gets anew, after the posture itself.
         self._shapes = [part.shape for part in new_kinematics(
@@ -385,19 +383,6 @@ class Robot:
         self.moved.setflags(write=False)
         self.lever_arm_bounds = _read_only(shapes.lever_arm_bounds(
             self._model, self.chain.capsule_joint, self.chain.capsule_ends))
-
-    def _chain(self) -> Chain:
-        """Return what the kinematics are computed from at any posture."""
-        tips = [self._model.frames[tip] for tip in self._tip_ids]
-        tip_joints = np.array([tip.parentJoint for tip in tips], dtype=np.intp)
-        parents = np.array(list(self._model.parents)[1:], dtype=np.intp)
-        capsule_joint, capsule_ends = shapes.placed(self._model, self.capsules)
-        return Chain(
-            parents, *joint_placements(self._model), tip_joints,
-            np.array([tip.placement.rotation for tip in tips]),
-            np.array([tip.placement.translation for tip in tips]),
-            shapes.supports_of(tip_joints, parents), capsule_joint, capsule_ends,
-            shapes.supports_of(capsule_joint, parents), self.rows, self.in_tool)
 
     def _random_arms(self) -> Iterator[Kinematics]:
         """Yield the kinematics at random postures within the URDF's limits, without end."""
@@ -412,37 +397,3 @@ class Robot:
 def _read_only(array: Array) -> Array:
     array.setflags(write=False)
     return array
-
-
-def _checked_weights(weights: Values, names: Sequence[str]) -> Array:
-    given = floats_of(weights)
-    if given.shape not in ((), (1,), (len(names),)) or not (
-            (given > 0.0) & (given < np.inf)).all():
-        raise RobotError(f'weights are {shown(weights)}; they must be one positive number, or one '
-                         f'for each of {known(names)}')
-    return _read_only(np.full(len(names), 1.0) * given)
-
-
-def _checked_tips(tip_frame: str, tips: Sequence[str]) -> tuple[str, ...]:
-    if (tip_frame and tips) or not (tip_frame or tips) or len(set(tips)) != len(tips):
-        raise RobotError(f"tip_frame is '{tip_frame}' and tips are {list(tips)}; one of them "
-                         'names the end effector, or several different ones')
-    return tuple(tips) or (tip_frame,)
-
-
-def _axes_of_tips(axes: Axes, tips: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the controlled axes of each tip."""
-    if not isinstance(axes, Mapping):
-        return [_checked_axes(axes)] * len(tips)
-    if set(axes) != set(tips):
-        raise RobotError(f'axes are given for {known(axes)}; the tips are {known(tips)}')
-    return [_checked_axes(axes[tip]) for tip in tips]
-
-
-def _checked_axes(axes: Sequence[str]) -> tuple[str, ...]:
-    unknown = [axis for axis in axes if axis not in AXES]
-    if unknown or not axes or len(set(axes)) != len(axes):
-        raise RobotError(
-            f'axes are {list(axes)}; they must be a non-empty choice, without repetition, '
-            f'of {known(AXES)}')
-    return tuple(axis for axis in AXES if axis in axes)

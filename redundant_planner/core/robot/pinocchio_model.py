@@ -13,8 +13,6 @@ from redundant_planner.core.robot.urdf import Joint, LARGEST, MOVABLE, Urdf
 
 Array = npt.NDArray[np.float64]
 
-# Of an axis of length 1.
-_ROUND_OFF = 1e-12
 # No arm has more joints: every one of them costs time in every tick.
 _MOST_JOINTS = 50
 
@@ -22,6 +20,12 @@ _MOST_JOINTS = 50
 def link_names(model: pin.Model) -> list[str]:
     """Return the names of all links."""
     return [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+
+
+def links_on(model: pin.Model, joint: int) -> tuple[str, ...]:
+    """Return the names of the links that a joint carries, 0 for those at rest."""
+    return tuple(frame.name for frame in model.frames
+                 if frame.type == pin.FrameType.BODY and frame.parentJoint == joint)
 
 
 def link_id(model: pin.Model, link: str) -> int:
@@ -132,28 +136,3 @@ def model_of_chain(
         if frame.parentJoint == 0:
             frame.placement = world_in_base * frame.placement
     return reduced
-
-
-def joint_placements(model: pin.Model) -> tuple[Array, Array, Array]:
-    """Return how the joints of a chain sit in each other's frames, and what they do.
-
-    Pinocchio's versions show a joint's motion differently, but all of them J: the motion is its
-    column, taken back into the joint's frame.
-
-    Returns:
-        (n, 3, 3) axes of each joint at position 0 in the frame of the joint before, (n, 3) its
-        origin there [m], and (n, 6) its motion [v; w] per unit of q̇ in its own frame.
-    """
-    data, n = model.createData(), model.njoints - 1
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    screws = np.reshape(data.J, (6, n))
-    placed, offset, motion = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros((n, 6))
-    for j in range(n):
-        placement = model.jointPlacements[j + 1]
-        placed[j], offset[j] = placement.rotation, placement.translation
-        moved = data.oMi[j + 1].actInv(pin.Motion(screws[:, j]))
-        revolute = float(np.linalg.norm(moved.angular)) > 0.5
-        axis = np.array(moved.angular if revolute else moved.linear)
-        axis[np.abs(axis) < _ROUND_OFF] = 0.0
-        motion[j, 3 * revolute:3 * revolute + 3] = axis / np.linalg.norm(axis)
-    return placed, offset, motion
