@@ -36,30 +36,22 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.safeguard import Admitted, Safeguard
 from redundant_planner.core.safety.barriers import room_for_rows
-from redundant_planner.core.safety.jerk import reversal_time, Smoothing
+from redundant_planner.core.safety.jerk import check_tick, reversal_time, Smoothing
 from redundant_planner.core.safety.own_barriers import OwnBarriers, OwnRows
+from redundant_planner.core.safety.reasons import fallbacks_of
 from redundant_planner.core.safety.stage import Stage
-from redundant_planner.core.step_result import Nearest, OwnValue, StepResult
+from redundant_planner.core.step_result import Nearest, StepResult
 from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.core.tick import Setup, Wish, wish, World
 
 Array = npt.NDArray[np.float64]
 
-# The mean that keeps the jerk limits takes as many ticks as there are in up to a second [s].
-_SHORTEST_TICK, _LONGEST_TICK = 1e-4, 10.0
 _JERK_GIVES_WAY = 'jerk gives way to a clearance'
 # The share of a command that has been followed lately is a mean over so long [s].
 _LATELY = 0.3
 # How long clearance goes before jerk after a tick in which it could not be kept [s].
 _RUSH = 0.1
-
-
-def _check_tick(dt: float) -> None:
-    if not dt >= _SHORTEST_TICK:
-        raise StateError(f'dt is {dt}; it must be {_SHORTEST_TICK:g} s or longer')
-    if dt > _LONGEST_TICK:
-        raise StateError(f'dt is {dt}; it must be {_LONGEST_TICK:g} s or shorter')
 
 
 class Planner:
@@ -285,7 +277,7 @@ class Planner:
                 within 1e-4 to 10 s.
         """
         # Sense: where the arm is, and the obstacles near it.
-        _check_tick(dt)
+        check_tick(dt)
         asked = self._commands.checked(twist, target, news, self._parameters.twist_speeds)
         scene = self._scene_of(scene)
         arm = self.robot.kinematics_at(self._posture(q, dt))
@@ -327,7 +319,8 @@ class Planner:
             desired.clearance_index, self._nearest(desired, around),
             desired.manipulability, tips.first, error[:6], jerk_kept,
             None if asked.target is None else self._aiming.progress(asked.target, arm),
-            self._commands.results(tips, error, result), self._own_values(own))
+            self._commands.results(tips, error, result),
+            (() if own is None else own.values) + self._own_criteria.values)
 
     def _own_rows(self, start: Start) -> OwnRows | None:
         """Return what the user's barriers ask of a tick; None without any."""
@@ -336,13 +329,6 @@ class Planner:
         return self._own_barriers.rows(
             start, self._limits, self._parameters.clearance_gain, self._constants.scaling,
             self._smoothing.corner, self._observer.strayed)
-
-    def _own_values(self, own: OwnRows | None) -> tuple[OwnValue, ...]:
-        """Return what the user's barriers and criteria came to."""
-        values = () if own is None else tuple(
-            OwnValue(barrier.name, value)
-            for barrier, value in zip(self._own_barriers.barriers, own.values))
-        return values + self._own_criteria.values
 
     def _remember(self, admitted: Admitted, path: Path, desired: Wish, dt: float) -> None:
         """Note what a tick leaves to the next."""
@@ -371,7 +357,7 @@ class Planner:
         Raises:
             StateError: `dq` or `dt` does not fit.
         """
-        _check_tick(dt)
+        check_tick(dt)
         dq, last = np.array(dq, dtype=float), self._last
         if dq.shape != (self.robot.n,) or not np.isfinite(dq).all():
             raise StateError(f'dq is {shown(dq)}; it takes {self.robot.n} finite numbers, one for '
@@ -397,14 +383,9 @@ class Planner:
     def _fallback(self, aim: Aim, desired: Wish, admitted: Admitted, crowded: bool) -> str:
         """Say which bounds on its work a tick reached, and what was done instead."""
         said = self._aiming.fallbacks(aim, crowded=crowded)
-        said += [f'out of iterations where {stage.value}' for stage in admitted.result.cut_short]
-        if self._filtered and desired.unseen_share < 1.0:
-            said.append('slower among more obstacles than a tick takes in: '
-                        f'{math.floor(100.0 * desired.unseen_share)}% of the speed')
-        if self._own_criteria.broken:
-            said.append(
-                f'without {known(self._own_criteria.broken)}, which is not a finite number')
-        return '; '.join(said)
+        if self._filtered:
+            said += fallbacks_of(admitted.result, desired.unseen_share)
+        return '; '.join(said + self._own_criteria.fallbacks)
 
     def _nearest(self, desired: Wish, around: Surroundings) -> Nearest | None:
         if desired.nearest_link < 0:

@@ -11,7 +11,7 @@ been moved is another scene.
 
 Where there are more obstacles than a tick has time for, it takes those that come into reach first.
 The range is then smaller than the reach. The planner slows down so that no link moves further than
-that (`planner.unseen_share`).
+that (`safety.pace.unseen_share`).
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.errors import known
 from redundant_planner.core.own_rules import Criterion, measured
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.step_result import OwnValue
@@ -20,14 +21,14 @@ class OwnCriteria:
 
     Attributes:
         values: of all criteria at the last posture, NaN where one was not a finite number.
-        broken: names of those.
+        fallbacks: what is said of those.
     """
 
     def __init__(self, n: int, criteria: Sequence[Criterion]) -> None:
         """Take the criteria of an arm of n joints, which have been checked."""
         self._criteria, self._none = tuple(criteria), np.zeros(n)
         self.values: tuple[OwnValue, ...] = ()
-        self.broken: tuple[str, ...] = ()
+        self.fallbacks: list[str] = []
 
     def gradient(self, arm: Kinematics) -> Array:
         """Return their part of ∇H (n,), weights included; a broken one counts nothing."""
@@ -40,5 +41,7 @@ class OwnCriteria:
             if found is not None:
                 total += criterion.weight * found.gradient
         self.values = tuple(values)
-        self.broken = tuple(name for name, value in values if math.isnan(value))
+        broken = [name for name, value in values if math.isnan(value)]
+        self.fallbacks = [
+            f'without {known(broken)}, which is not a finite number'] if broken else []
         return total

@@ -12,13 +12,24 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.errors import StateError
 from redundant_planner.core.kernels import compiled, Matrix, OutMatrix, OutVector, Vector
 from redundant_planner.core.safety.limits import braked, can_stop, Limits
 
 Array = npt.NDArray[np.float64]
 
+# A window takes as many ticks as there are in up to a second [s].
+_SHORTEST_TICK, _LONGEST_TICK = 1e-4, 10.0
 # A window of so many ticks, and round-off: no tick more for that.
 _ROUND_OFF = 1e-6
+
+
+def check_tick(dt: float) -> None:
+    """Raise a StateError if a tick is shorter or longer than the planner takes [s]."""
+    if not dt >= _SHORTEST_TICK:
+        raise StateError(f'dt is {dt}; it must be {_SHORTEST_TICK:g} s or longer')
+    if dt > _LONGEST_TICK:
+        raise StateError(f'dt is {dt}; it must be {_LONGEST_TICK:g} s or shorter')
 
 
 def reversal_time(acceleration_max: Array, jerk_max: Array) -> float:

@@ -26,6 +26,7 @@ from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.safety.barriers import Barriers, OWN
 from redundant_planner.core.safety.limits import barrier_rate, Limits, stopping_time
+from redundant_planner.core.step_result import OwnValue
 
 Array = npt.NDArray[np.float64]
 
@@ -42,12 +43,12 @@ class OwnRows(NamedTuple):
 
     Attributes:
         barriers: their rows.
-        values: (b,) h of each barrier.
+        values: what each barrier came to.
         broken: names of barriers that are not finite numbers here or ahead: then the arm brakes.
     """
 
     barriers: Barriers
-    values: tuple[float, ...]
+    values: tuple[OwnValue, ...]
     broken: tuple[str, ...]
 
 
@@ -95,7 +96,7 @@ class OwnBarriers:
         values, broken, rows = [], [], []
         for i, (barrier, unit) in enumerate(zip(self.barriers, self._units)):
             here = measured(barrier, arm)
-            values.append(math.nan if here is None else here.value)
+            values.append(OwnValue(barrier.name, math.nan if here is None else here.value))
             if here is None:
                 broken.append(barrier.name)
                 continue

@@ -1,8 +1,9 @@
-"""One sentence about what slows or stops the arm."""
+"""What slows or stops the arm, and which bounds on its work the filter reached, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +62,20 @@ def reason_for(
     named = ', '.join(name + last_way_out.words(q) if name in _SINGULAR else name
                       for name in dict.fromkeys(names))
     return f'{result.stage.value}: {named}'
+
+
+def fallbacks_of(result: Filtered, unseen_share: float) -> list[str]:
+    """Say which bounds on its work the filter reached, and what was done instead.
+
+    Args:
+        result: what it decided.
+        unseen_share: of the fastest motion, for obstacles that a tick does not look at.
+    """
+    said = [f'out of iterations where {stage.value}' for stage in result.cut_short]
+    if unseen_share < 1.0:
+        said.append('slower among more obstacles than a tick takes in: '
+                    f'{math.floor(100.0 * unseen_share)}% of the speed')
+    return said
 
 
 def _row_name(
