@@ -12,6 +12,11 @@ from redundant_planner.nodes.supervisor import FRESH_AFTER, MOVED_BY_OTHERS, Sup
 
 Array = npt.NDArray[np.float64]
 
+# After so long without commands a late arm stands still, too [s].
+_SETTLES = 0.5
+# A standing arm that is measured this far from where it stood was moved: less is noise [rad, m].
+_MOVED = 2e-3
+
 
 class ArmWatch:
     """Compares what was commanded with what was measured, and tells the supervisor.
@@ -36,6 +41,8 @@ class ArmWatch:
         self._supervisor, self._unheard = supervisor, unheard
         self._following = Following(joint_names, period, 0.0)
         self._wished_at = -np.inf  # when somebody commanded the arm last [s]
+        self._silent_since = np.inf  # since when nobody has been told anything [s]
+        self._stood_at: Array | None = None  # where the arm came to stand then
 
     def begin(self, posture: Array, lag: float, dead_time: float) -> None:
         """Begin anew with an arm that is about to move.
@@ -56,6 +63,13 @@ class ArmWatch:
         """Whether the arm does not follow, and is not trying to."""
         return bool(self._supervisor.astray) and not self._supervisor.tries
 
+    @property
+    def was_moved_in_silence(self) -> bool:
+        """Whether the arm stands elsewhere than it stood when it was left alone."""
+        there, posture = self._stood_at, self._supervisor.posture
+        return (there is not None and posture is not None
+                and bool((np.abs(posture - there) > _MOVED).any()))
+
     def look(self, now: float, told: Array | None, *, wishes: bool, tolerance: float) -> None:
         """Take the latest command and measurement.
 
@@ -69,7 +83,9 @@ class ArmWatch:
         supervisor.heard_a_wish(wishes, now, told is None)
         self._wished_at = now if wishes else self._wished_at
         if told is None:
+            self._look_on(now)
             return
+        self._silent_since, self._stood_at = np.inf, None
         posture = supervisor.posture
         assert posture is not None, 'the arm moves only after a measurement'
         following.tolerance = tolerance
@@ -86,3 +102,9 @@ class ArmWatch:
         elif following.tolerance > 0.0 and following.moved_by_others > MOVED_BY_OTHERS:
             following.rest()
             supervisor.moved_by_others()
+
+    def _look_on(self, now: float) -> None:
+        """Note where an arm stands that is told nothing."""
+        self._silent_since = min(self._silent_since, now)
+        if self._stood_at is None and now - self._silent_since >= _SETTLES:
+            self._stood_at = self._supervisor.posture

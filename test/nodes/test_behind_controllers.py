@@ -112,6 +112,25 @@ def test_where_others_have_moved_the_arm_it_stays(output):
 
 
 @pytest.mark.first_alone
+@pytest.mark.parametrize('output', [POSITION, TRAJECTORY, VELOCITY])
+@pytest.mark.parametrize('tolerance', [0.02, 0.0])
+def test_a_paused_arm_that_others_move_a_little_does_not_leap_back(tolerance, output):
+    run = behind(output, follow_tolerance=tolerance)
+    run.drive(FORWARD)
+    run.run(0.5)
+    run.drive(None)
+    run.loop.supervisor.pause(True)
+    run.run(2.0)
+    run.manager.settings = Settings(active=False, moved=dict.fromkeys(PANDA.joint_names, 0.015))
+    run.run(1.0)
+    run.manager.settings = Settings()
+    at, begin = run.manager.q.copy(), run.now
+    run.loop.supervisor.pause(False)
+    run.run(2.0)
+    assert np.abs(run.motion(begin).positions - at).max() < 1e-3
+
+
+@pytest.mark.first_alone
 @pytest.mark.parametrize('output', OUTPUTS)
 def test_at_equal_rates_the_arm_moves_as_smoothly_as_its_commands(output):
     run = behind(output)
