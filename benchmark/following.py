@@ -41,7 +41,7 @@ _FORWARD = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
 _RATE = 250
 _LISTENS = 1.5  # until the planner moves the arm for the first time [s]
 # Frozen hardware freezes so long after the first command [s].
-_FREEZES = 0.5
+_FREEZES = 0.3
 # Slower is rest [rad/s].
 _REST = 1e-9
 # A joint that hangs in the gears, and by how much gains are off.

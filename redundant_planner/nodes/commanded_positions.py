@@ -36,7 +36,7 @@ class CommandedPositions:
         self._command.reset()
 
     def start(self, posture: Array, tolerance: float) -> None:
-        """Go on from a standing arm, see `PositionCommand.start`; from where others moved it to."""
+        """Go on from a standing arm; from where it is if others have moved it."""
         if self._watch.was_moved_in_silence:
             self._command.reset()
         self._command.start(posture, tolerance)
