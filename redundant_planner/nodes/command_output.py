@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 
 # Where a command may move an arm for ever, so that a planner which dies owes a stop. The other
 # outputs are positions: the arm has reached the last one, or will, and stands there.
-NEVER_ENDING = (JOINT_COMMAND, VELOCITY_COMMANDS)
+NEVER_ENDING = (JOINT_COMMAND, VELOCITY_COMMANDS, BASE_CMD_VEL)
 # joint_trajectory_controller interpolates from where the arm is and asks one period ahead. A point
 # that is due after so many periods, and lies where the arm would be by then, leads it there at an
 # even speed, and on for a period if the next message is late.

@@ -14,8 +14,9 @@ from sensor_msgs.msg import JointState
 
 from benchmark.ros2_control import Manager, Point, POSITION, Settings, TRAJECTORY, VELOCITY
 from redundant_planner.core.safety.jerk import SmoothStop
+from redundant_planner.io.mobile_base import BASE_JOINTS
 from redundant_planner.io.node_parameters import OUTPUTS
-from redundant_planner.nodes.command_output import CommandOutput, FOUND_WITHIN
+from redundant_planner.nodes.command_output import CommandOutput, FOUND_WITHIN, NEVER_ENDING
 from redundant_planner.nodes.messages import seconds_of
 
 NAMES, T = ('a', 'b'), 0.004
@@ -37,13 +38,13 @@ class Topic(list):
         self.append(copy(message))
 
 
-def output(topics, low=-2.0, high=2.0, outputs=OUTPUTS):
+def output(topics, low=-2.0, high=2.0, outputs=OUTPUTS, names=NAMES):
     def create_publisher(kind, name, depth):
         topics[name] = Topic(name)
         return topics[name]
 
-    return CommandOutput(SimpleNamespace(create_publisher=create_publisher), NAMES, outputs, T,
-                         np.full(2, low), np.full(2, high))
+    return CommandOutput(SimpleNamespace(create_publisher=create_publisher), names, outputs, T,
+                         np.full(len(names), low), np.full(len(names), high))
 
 
 def motion():
@@ -178,6 +179,19 @@ def test_joint_command_counts_where_there_is_no_other_output():
     topics['joint_command'].listeners = 0
     assert commands.unheard().startswith(
         'nobody listens to joint_command on /arm/joint_command any more: load the driver')
+
+
+@pytest.mark.parametrize('names', [NAMES, (*BASE_JOINTS, *NAMES)])
+def test_the_second_process_waits_for_as_many_listeners_as_it_can_find(names):
+    """It counts those of all its outputs, a base's too."""
+    planners, seconds = {}, {}
+    planner = output(planners, names=names)
+    second = output(seconds, outputs=[name for name in OUTPUTS if name in NEVER_ENDING],
+                    names=names)
+    for topic in (*planners.values(), *seconds.values()):
+        topic.listeners = 1
+    assert sum(second.listeners().values()) == sum(
+        planner.listeners().get(name, 0) for name in NEVER_ENDING)
 
 
 def positions(topics):
