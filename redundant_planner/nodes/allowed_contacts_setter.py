@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import math
 import time
 
 from rcl_interfaces.srv import GetParameters, SetParameters
@@ -16,6 +17,9 @@ from redundant_planner.nodes.endable_node import EndableNode
 _NAME = 'allowed_contacts'
 # After how long a request without an answer is made again [s].
 _PATIENCE = 3.0
+# After how long it is asked again what the planner has: one that starts anew as another one ends
+# is always there, and one that was killed seems to be there for a while [s].
+_TRUST = 5.0
 
 
 class AllowedContactsSetter:
@@ -37,6 +41,7 @@ class AllowedContactsSetter:
         self._set = node.create_client(SetParameters, f'{planner}/set_parameters')
         # What the planner has, as far as is known; None for not at all.
         self._there: frozenset[str] | None = None
+        self._known_at = -math.inf  # since when [s]
         self._mine: frozenset[str] = frozenset()
         self._refused: tuple[str, ...] | None = None
         self._asked_at: float | None = None
@@ -49,7 +54,7 @@ class AllowedContactsSetter:
             return
         if self._asked_at is not None and now - self._asked_at < _PATIENCE:
             return
-        if self._there is None:
+        if self._there is None or now - self._known_at > _TRUST:
             self._call(self._get, GetParameters.Request(names=[_NAME]), self._on_values, now)
         elif self._there != frozenset(wanted) and wanted != self._refused:
             lost = sorted(self._there - self._mine - frozenset(wanted))
@@ -77,7 +82,10 @@ class AllowedContactsSetter:
 
     def _on_values(self, response: GetParameters.Response) -> None:
         for value in response.values[:1]:
-            self._there = frozenset(value.string_array_value)
+            there = frozenset(value.string_array_value)
+            if there != self._there:
+                self._refused = None
+            self._there, self._known_at = there, time.monotonic()
 
     def _on_answer(self, response: SetParameters.Response, wanted: tuple[str, ...]) -> None:
         for result in response.results[:1]:
