@@ -42,10 +42,6 @@ class Profile(NamedTuple):
     braking: Array
     rising: Array
 
-    def speeding_at(self, left: float) -> float:
-        """Return how fast f may rise where so much is left [1/s]."""
-        return float(self.rising[self._segment(left)])
-
     def speed_at(self, left: float, dt: float) -> float:
         """Return the highest f for the next dt, where so much is left [s].
 

@@ -198,7 +198,7 @@ class StraightWay:
         middle = se3.displaced(
             reference, np.concatenate((np.zeros(3), 0.5 * start.dt * twist[3:])), False)
         twist = self._in_command_axes(twist, middle)
-        if self._target.moves or looked is None:
+        if looked is None or self._target.moves:
             return twist, None
         profile = looked.profile
         elapsed = float(np.interp(-self.left, -profile.left, looked.times))

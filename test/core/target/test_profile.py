@@ -18,10 +18,9 @@ def ticks(profile, left):
     shares = []
     while left > 1e-9:
         f = profile.speed_at(left, DT)
-        if shares:
-            f = min(f, shares[-1] + 0.8 * profile.speeding_at(left) * DT)
-        else:
-            f = min(f, 0.8 * profile.speeding_at(left) * DT)
+        stretch = min(int((1.0 - left / profile.left[0]) * 12), 11)
+        before = shares[-1] if shares else 0.0
+        f = min(f, before + 0.8 * profile.rising[stretch] * DT)
         shares.append(f)
         left -= f * DT
         assert len(shares) < 5000
