@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Any
 
 import rclpy
+from rclpy.executors import Executor
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -45,6 +46,8 @@ _FLUSH = 1.0
 # It is ready once it hears all publishers it knows of, and has found no new topic for this long;
 # after the longer time it says so in any case [s].
 _SETTLED, _LONGEST_START = 0.5, 5.0
+# What had arrived when the recording ends is taken within this time [s].
+_LAST = 0.25
 
 
 class Recorder:
@@ -149,6 +152,14 @@ def _heard(recorder: Recorder) -> str:
     return f'{found} there yet; others are recorded from when they appear'
 
 
+def _take_the_last(executor: Executor, recorder: Recorder) -> None:
+    """Write what had arrived when the recording was to end."""
+    end, before = time.monotonic() + _LAST, -1
+    while time.monotonic() < end and before != sum(recorder.counts.values()):
+        before = sum(recorder.counts.values())
+        executor.spin_once(timeout_sec=_LAST / 5)
+
+
 def record(folder: Path, planner: str, extra: list[str], duration: float | None) -> dict[str, int]:
     """Record until interrupted, or for a while once it is ready; return topic → its messages.
 
@@ -193,6 +204,7 @@ def record(folder: Path, planner: str, extra: list[str], duration: float | None)
                     writer.flush()
                     flushed = now
                 executor.spin_once(timeout_sec=_LOOK)
+            _take_the_last(executor, recorder)
     finally:
         node.destroy_node()
     return recorder.counts

@@ -83,9 +83,10 @@ def test_once_it_says_that_it_records_it_hears_who_sends_one_target_and_is_gone(
             sender = ros.node.create_publisher(PoseStamped, 'target_pose', qos)
             ros.wait_for(lambda: sender.get_subscription_count() == 2, 'both that hear it')
             sender.publish(PoseStamped())
+            # Who goes before that takes along what is still on its way.
+            ros.wait_for(lambda: sender.wait_for_all_acked(Duration(seconds=0.01)), 'receipts')
             ros.wait_for(lambda: heard, 'the target')
             ros.node.destroy_publisher(sender)
-            ros.spin(0.5)
             recorder.send_signal(signal.SIGINT)
             assert recorder.wait(PATIENCE) == 0
         finally:
