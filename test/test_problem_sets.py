@@ -289,3 +289,32 @@ def test_the_fastest_motion_along_a_line_is_bang_bang():
     # Standing still on the way counts for nothing.
     rested = np.vstack((ways[0][:30], np.repeat(ways[0][29:30], 50, axis=0), ways[0][30:]))
     assert fastest_time(robot, rested) == pytest.approx(fastest_time(robot, ways[0]), rel=0.02)
+
+
+def test_roboplans_planner_goes_around_what_is_in_the_way():
+    pytest.importorskip('roboplan')
+    from benchmark.problem_sets.roboplan_rrt import planned
+    from benchmark.robots import make_robot
+    robot = make_robot('panda', 6)
+    goal = PANDA_READY + np.array([1.6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    between = robot.kinematics(0.5 * (PANDA_READY + goal)).tip_position
+    near = [
+        Obstacle.box('post', between, (0.05, 0.05, 0.3)),
+        Obstacle.cylinder('can', between, 0.05, 0.3),
+        Obstacle.capsule('ball', between, 0.08, 0.0)]
+    lengths = []
+    for obstacles in ((), *((obstacle,) for obstacle in near)):
+        run = planned(robot, Problem('p', 'f', obstacles, PANDA_READY, goal), 0.01)
+        assert run.reached, run.reason
+        np.testing.assert_allclose(run.postures[[0, -1]], (PANDA_READY, goal), atol=1e-6)
+        assert (np.abs(run.velocities) < 1.01 * robot.velocity_max).all()
+        lengths.append(np.linalg.norm(np.diff(run.postures, axis=0), axis=1).sum())
+        maps = inflated_obstacles(Scene.of(obstacles), [c.radius for c in robot.capsules])
+        for q in run.postures if obstacles else ():
+            arm = robot.kinematics(q)
+            assert link_clearance(
+                maps, arm.segment_start, arm.segment_end).distance.min() > 0.005
+    assert lengths[0] == pytest.approx(1.6, abs=0.01) and min(lengths[1:]) > 1.61
+    ellipsoid = Obstacle('egg', between, np.full(3, 0.05))
+    with pytest.raises(ValueError, match="no shape like that of 'egg'"):
+        planned(robot, Problem('p', 'f', (ellipsoid,), PANDA_READY, goal), 0.01)

@@ -23,6 +23,7 @@ _AXES = {'x': '1 0 0', 'y': '0 1 0', 'z': '0 0 1'}
 
 def mjcf(
     robot: Robot, obstacles: Sequence[Obstacle], thinner: float | None = None,
+    thicker: float = 0.0,
 ) -> str:
     """Return the arm's joints, its capsules and the obstacles as a MuJoCo model.
 
@@ -32,14 +33,15 @@ def mjcf(
         thinner: if given, every shape has a body of its name to itself, those of obstacles on
             three slides and three hinges in place of mocap; and the capsules are there once more,
             as own0 and on, with radii less by so much [m].
+        thicker: by how much all capsules are [m].
     """
     model = robot.model
     shapes: dict[int, list[str]] = {}
     for i, capsule in enumerate(robot.capsules):
         joint, start, end = in_joint(robot, capsule)
-        names = {f'link{i}': capsule.radius}
+        names = {f'link{i}': capsule.radius + thicker}
         if thinner is not None:
-            names[f'own{i}'] = capsule.radius - thinner
+            names[f'own{i}'] = capsule.radius + thicker - thinner
         for name, radius in names.items():
             geom = _capsule(name, start, end, max(radius, 1e-5))
             shapes.setdefault(joint, []).append(

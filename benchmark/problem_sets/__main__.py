@@ -33,6 +33,7 @@ from benchmark.problem_sets.workers import (
     PEERS,
     prepare,
     Result,
+    ROBOPLAN_RRT,
     run_job,
     Task,
     Worker,
@@ -68,6 +69,9 @@ def _options(args: list[str] | None) -> argparse.Namespace:
     parser.add_argument('--toppra', action='store_true',
                         help='compare the time of every motion with the shortest on the same '
                         'path (TOPP-RA, jerk not limited)')
+    parser.add_argument('--roboplan', action='store_true',
+                        help="besides, RoboPlan's RRT-Connect, shortcuts and TOPP-RA, which get "
+                        "the goal's posture")
     parser.add_argument('--explain', action='store_true',
                         help='plan what was not reached without the line as well')
     parser.add_argument('--jobs', type=int, default=1,
@@ -138,6 +142,12 @@ def main(args: list[str] | None = None) -> int:
     console = Console(width=220)
     methods = options.method or list(DEFAULT_METHODS) + [
         name for name in ('mink', 'pink') if not missing(name)]
+    if options.roboplan:
+        lack = missing('roboplan')
+        if lack:
+            console.print(f'[red]error:[/red] {lack}', soft_wrap=True, highlight=False)
+            return 2
+        methods.append(ROBOPLAN_RRT)
     task = Task(tuple(methods), options.margin, options.explain,
                 options.command == 'target_pose', options.optimum, options.toppra)
     try:
@@ -152,7 +162,7 @@ def main(args: list[str] | None = None) -> int:
         result)
     for name, entry in result.items():
         for one in entry['notable']:
-            if name not in PEERS:
+            if name in METHODS:
                 console.print(f'{name}: {one}', soft_wrap=True, highlight=False)
     if options.json is not None:
         options.json.write_text(json.dumps(result, indent=2) + '\n')

@@ -23,7 +23,10 @@ from redundant_planner.io.resources import panda_urdf
 METHODS = {'variational': SCENARIO_METHODS['variational_held'], **{
     name: parameters for name, parameters in SCENARIO_METHODS.items()
     if not name.startswith('variational')}}
-__all__ = ['METHODS', 'PEERS', 'Job', 'Result', 'Task', 'Worker', 'prepare', 'run_job']
+# RoboPlan's planner: it is no method that goes tick by tick.
+ROBOPLAN_RRT = 'roboplan_rrt'
+__all__ = ['METHODS', 'PEERS', 'ROBOPLAN_RRT', 'Job', 'Result', 'Task', 'Worker', 'prepare',
+           'run_job']
 
 # Family, scene and request; or seed, family and number.
 Job = tuple[str, Path, Path] | tuple[int, str, int]
@@ -112,10 +115,15 @@ class Worker:
     def _outcome(self, name: str, problem: Problem) -> Outcome:
         """Run a method, judge it, and compare its way with the shortest."""
         task = self.task
-        to_target = task.to_target and name in METHODS
-        run = servo(self.robot, problem, _step(self.robot, name, problem, task), task.longest,
-                    to_target=to_target)
-        outcome = self.judge.judge(problem, run)
+        if name == ROBOPLAN_RRT:
+            from benchmark.problem_sets.roboplan_rrt import planned
+            run = planned(self.robot, problem, task.margin)
+            outcome = self.judge.judge(problem, run)
+            outcome = replace(outcome, thought=outcome.cpu)
+        else:
+            run = servo(self.robot, problem, _step(self.robot, name, problem, task),
+                        task.longest, to_target=task.to_target and name in METHODS)
+            outcome = self.judge.judge(problem, run)
         if task.fastest and run.reached:
             from benchmark.problem_sets.fastest import fastest_time
             outcome = replace(
