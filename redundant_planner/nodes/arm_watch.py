@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.safety.following import Following
+from redundant_planner.nodes.standing_arm import StandingArm
 from redundant_planner.nodes.supervisor import FRESH_AFTER, MOVED_BY_OTHERS, Supervisor
 
 Array = npt.NDArray[np.float64]
@@ -40,6 +41,7 @@ class ArmWatch:
         self.anchor: Array | None = None
         self._supervisor, self._unheard = supervisor, unheard
         self._following = Following(joint_names, period, 0.0)
+        self._standing = StandingArm(period)
         self._wished_at = -np.inf  # when somebody commanded the arm last [s]
         self._silent_since = np.inf  # since when nobody has been told anything [s]
         self._stood_at: Array | None = None  # where the arm came to stand then
@@ -52,6 +54,7 @@ class ArmWatch:
             lag, dead_time: of its drives, as far as they are known [s].
         """
         self._following.begin(posture, lag, dead_time)
+        self._standing.begin(lag, dead_time)
 
     @property
     def travel(self) -> Array:
@@ -99,8 +102,11 @@ class ArmWatch:
             supervisor.follows()
         if now - self._wished_at < FRESH_AFTER:
             following.rest()
-        elif following.tolerance > 0.0 and following.moved_by_others > MOVED_BY_OTHERS:
+            self._standing.leave()
+        elif (self._standing.is_moved(now, told, posture)
+              or following.moved_by_others > MOVED_BY_OTHERS):
             following.rest()
+            self._standing.leave()
             supervisor.moved_by_others()
 
     def _look_on(self, now: float) -> None:

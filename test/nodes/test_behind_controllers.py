@@ -131,6 +131,47 @@ def test_a_paused_arm_that_others_move_a_little_does_not_leap_back(tolerance, ou
 
 
 @pytest.mark.first_alone
+@pytest.mark.parametrize('output', [POSITION, TRAJECTORY, VELOCITY])
+@pytest.mark.parametrize('tolerance', [0.0, 0.02])
+@pytest.mark.parametrize('speed, seconds', [(0.002, 2.0), (0.001, 1.0), (0.02, 0.2), (0.12, 2.0)])
+def test_a_resting_arm_that_others_move_a_little_stays_there(speed, seconds, tolerance, output):
+    """Nobody has paused it: it corrects where it stands, and nobody hears that."""
+    run = behind(output, follow_tolerance=tolerance)
+    run.drive(FORWARD)
+    run.run(0.5)
+    run.drive(None)
+    run.run(2.0)
+    run.manager.settings = Settings(active=False, moved=dict.fromkeys(PANDA.joint_names, speed))
+    run.run(seconds)
+    run.manager.settings = Settings(active=False)
+    run.run(1.5)
+    at, begin = run.manager.q.copy(), run.now
+    run.manager.settings = Settings()
+    run.run(2.0)
+    # The last velocity before the switch is what the hardware keeps.
+    assert np.abs(run.motion(begin).positions - at).max() < 1e-3
+    assert np.abs(run.motion(begin).velocities).max() < 0.05
+    run.drive(FORWARD)
+    run.run(1.0)
+    assert not run.error and np.abs(run.manager.q - at).max() > 0.05
+
+
+@pytest.mark.first_alone
+@pytest.mark.parametrize('output', OUTPUTS)
+@pytest.mark.parametrize('settings', [
+    {'backlash': 0.01}, {'noise': 5e-4}, {'lag': 0.08, 'dead_time': 0.04}, {'states_rate': 20.0}])
+def test_an_arm_that_rests_unmoved_goes_on_being_held(settings, output):
+    run = behind(output, settings=Settings(**settings))
+    for sign in (1.0, -1.0):
+        run.drive(sign * FORWARD)
+        run.run(0.7)
+        run.drive(None)
+        run.run(5.0)
+    assert not any('something else' in sentence for _, sentence in run.warnings)
+    assert not run.loop.at_rest
+
+
+@pytest.mark.first_alone
 @pytest.mark.parametrize('output', OUTPUTS)
 def test_at_equal_rates_the_arm_moves_as_smoothly_as_its_commands(output):
     run = behind(output)
