@@ -30,6 +30,8 @@ class CommandedPositions:
         """
         self._command = PositionCommand(limits)
         self._period, self._watch = period, watch
+        self._before: Array | None = None  # the last ones of an arm that does not follow
+        self._stands_still = False  # whether they have come as near to a standing arm as they may
 
     def reset(self) -> None:
         """Start from the measured posture at the next motion."""
@@ -43,9 +45,12 @@ class CommandedPositions:
 
     @property
     def are_back(self) -> bool:
-        """Whether they have come back to where an arm stands that does not follow."""
+        """Whether they have come back to where an arm stands that does not follow.
+
+        A load may have pressed the arm beyond its range, where positions do not lead.
+        """
         anchor = self._watch.anchor
-        return anchor is None or self._command.is_at(anchor)
+        return anchor is None or self._stands_still or self._command.is_at(anchor)
 
     def next(
         self, dq: Array, lead: float, planner: Planner | None, nearest: Nearest | None,
@@ -63,7 +68,12 @@ class CommandedPositions:
             nearest: the link that is nearest to an obstacle; None without one.
         """
         if self._watch.is_astray:
-            return self._command.advance(dq, self._period, self._watch.anchor)
+            positions = self._command.advance(dq, self._period, self._watch.anchor)
+            self._stands_still = self._before is not None and bool(
+                (positions == self._before).all())
+            self._before = positions
+            return positions
+        self._before = None
         if planner is None:
             return self._command.advance(dq, self._period)
         most = lead + self._watch.travel

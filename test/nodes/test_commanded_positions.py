@@ -34,9 +34,9 @@ class Arm:
         self.watch.begin(HOME, 0.0, 0.0)
         self.positions.start(HOME, LEAD)
 
-    def measure(self):
+    def measure(self, there=HOME):
         self.now += PERIOD
-        self.supervisor.measured(HOME, self.now)
+        self.supervisor.measured(there, self.now)
 
     def farthest(self, nearest=None, planner=True):
         """How far from home it is told to be after a second of slow motion."""
@@ -81,3 +81,20 @@ def test_an_arm_that_stands_is_told_to_be_where_it_stands(arm):
         found = arm.positions.next(np.zeros(2), LEAD, arm.planner, None)
     np.testing.assert_array_equal(found, HOME)
     assert arm.positions.are_back
+
+
+def test_an_arm_that_stands_beyond_its_range_comes_to_rest(arm):
+    """As one that a load has pressed there: no position leads to where it is."""
+    beyond = np.array([0.5, -3.01])
+    arm.watch.begin(beyond, 0.0, 0.0)
+    for _ in range(300):
+        arm.measure(beyond)
+        arm.watch.look(arm.now, ONWARD, wishes=True, tolerance=LEAD)
+        if arm.watch.is_astray:
+            break
+        arm.positions.next(ONWARD, LEAD, arm.planner, None)
+    np.testing.assert_array_equal(arm.watch.anchor, beyond)
+    assert not arm.positions.are_back
+    for _ in range(600):
+        found = arm.positions.next(np.zeros(2), LEAD, arm.planner, None)
+    assert found[1] == pytest.approx(-3.0) and arm.positions.are_back
