@@ -185,6 +185,8 @@ class ControlLoop:
         while not self.at_rest:
             self._brake()
             time.sleep(self._period)
+        # An arm that did not follow, or that others have moved, is no more held anywhere.
+        self._positions.start(self._posture(), np.inf)
         for _ in range(STOPS):
             self._send(np.zeros(self._robot.n), TickKind.BRAKING)
             time.sleep(PAUSE)

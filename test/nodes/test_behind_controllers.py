@@ -215,6 +215,16 @@ def test_without_a_tolerance_nobody_says_anything():
     assert not run.error
 
 
+@pytest.mark.parametrize('output', OUTPUTS)
+def test_a_planner_that_ends_while_the_arm_does_not_follow_says_its_last_words(output):
+    run = behind(output, settings=Settings(active=False))
+    run.drive(FORWARD)
+    assert run.run(2.0, until=lambda: bool(run.loop.state.astray))
+    run.loop.finish()
+    assert not run.commands().velocities[-1].any()
+    assert np.abs(run.commands().positions[-1] - READY).max() < 1e-6
+
+
 @pytest.mark.first_alone
 @pytest.mark.parametrize('seed', [1, 6, 8, 9])
 def test_positions_are_clear_where_the_plan_is(seed):
