@@ -171,6 +171,12 @@ class Manager:
         delay = round(self.settings.dead_time / self.period)
         self._on_the_way.append((self._cycles + 1 + delay, self.written.copy()))
 
+    def go_on_alone(self, cycles: int) -> None:
+        """Have the hardware go on for so many cycles while this process was stopped."""
+        for _ in range(cycles):
+            self._cycles += 1
+            self._read()
+
     def _refuse(self, why: str) -> None:
         self.refused, self.error = self.refused + 1, why
 

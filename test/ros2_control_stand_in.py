@@ -109,7 +109,10 @@ class _ManagerNode(Node):
 
 
 def main() -> None:
-    """Run the manager at its rate; a cycle that is late is made up for at once."""
+    """Run the manager at its rate; it skips cycles that it has missed, as controller_manager does.
+
+    The hardware has gone on meanwhile.
+    """
     rclpy.init()
     node = _ManagerNode()
     executor = best_executor(rclpy.get_default_context())
@@ -120,6 +123,9 @@ def main() -> None:
             due += node.manager.period
             while (left := due - time.monotonic()) > 0.0:
                 executor.spin_once(timeout_sec=left)
+            missed = int((time.monotonic() - due) / node.manager.period)
+            node.manager.go_on_alone(missed)
+            due += missed * node.manager.period
             node.cycle()
     except (ExternalShutdownException, KeyboardInterrupt):
         pass
