@@ -17,6 +17,8 @@ Array = npt.NDArray[np.float64]
 _SETTLES = 0.5
 # A standing arm that is measured this far from where it stood was moved: less is noise [rad, m].
 _MOVED = 2e-3
+# After longer without a look the process was stopped: a velocity went on meanwhile [s].
+_SLEPT = 0.05
 
 
 class ArmWatch:
@@ -42,6 +44,7 @@ class ArmWatch:
         self._supervisor, self._unheard = supervisor, unheard
         self._following = Following(joint_names, period, 0.0)
         self._standing = StandingArm(period)
+        self._looked_at = np.inf  # when it looked last [s]
         self._wished_at = -np.inf  # when somebody commanded the arm last [s]
         self._silent_since = np.inf  # since when nobody has been told anything [s]
         self._stood_at: Array | None = None  # where the arm came to stand then
@@ -83,6 +86,9 @@ class ArmWatch:
             tolerance: how far a joint may be behind [rad, m]; 0 for any distance.
         """
         supervisor, following = self._supervisor, self._following
+        if now - self._looked_at > _SLEPT:
+            following.slept()
+        self._looked_at = now
         supervisor.heard_a_wish(wishes, now, told is None)
         self._wished_at = now if wishes else self._wished_at
         if told is None:

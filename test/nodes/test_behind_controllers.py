@@ -81,6 +81,17 @@ def test_swapped_joints_that_take_positions_leap_once():
     assert (np.abs(run.motion(begin).velocities).max(axis=1) > 5.0).sum() == 1
 
 
+def test_a_process_that_is_stopped_as_it_begins_raises_no_alarm():
+    run = ControlledLoop(PANDA, READY, VELOCITY)
+    run.run(0.5)
+    run.drive(2.0 * FORWARD)
+    assert run.run(3.0, until=lambda: not run.loop.at_rest)
+    run.run(0.2)
+    run.sleeps_until = run.now + 0.3
+    run.run(2.0)
+    assert not run.error and np.abs(run.manager.q - READY).max() > 0.05
+
+
 def test_names_in_trajectories_swap_nothing():
     run = behind(TRAJECTORY, joints=PANDA.joint_names[::-1])
     run.drive(FORWARD)

@@ -49,6 +49,12 @@ _SOMEWHAT = 0.25
 # three times as much and has not does not [rad, m].
 _FIRST_MOTION, _FIRST_SHARE = 0.01, 0.3
 
+# What to check where a joint moves without a command: another one than the one that stays behind,
+# or the same one, against its command.
+_WHO_MOVES_IT = ("does the controller have the joints in another order than this planner's, is "
+                 'the load more than the drives can hold, or does something else move the arm?')
+_WHAT_PULLS_IT = 'is the load more than the drives can hold, or does something else move the arm?'
+
 # Rows of the state: what was lost and what is owed; what was moved without a command, and that
 # without forgetting; the measurement without its noise; the travel told within the dead time,
 # before it with the weights of the lag, and of late; and all that was told and done since the
@@ -90,6 +96,11 @@ class Following:
     def rest(self) -> None:
         """Count from here what the arm is moved by without a command."""
         self._state[_AWAY] = 0.0
+
+    def slept(self) -> None:
+        """Note that nothing was commanded for a while: the arm may have gone on meanwhile."""
+        self._begins = 0
+        self.rest()
 
     @property
     def travel(self) -> Array:
@@ -145,31 +156,35 @@ class Following:
         return np.array([_behind(self._state, i) for i in range(len(self._names))])
 
     @property
-    def _movers(self) -> str:
+    def _movers(self) -> list[int]:
         """The joints that move without a command, the farthest first."""
         beside = np.abs(self._state[_BESIDE])
-        return ', '.join(f"'{self._names[j]}'" for j in np.argsort(-beside)
-                         if beside[j] > self.tolerance + self._state[_RECENT, j])
+        return [int(j) for j in np.argsort(-beside)
+                if beside[j] > self.tolerance + self._state[_RECENT, j]]
+
+    def _named(self, joints: Sequence[int]) -> str:
+        return ', '.join(f"'{self._names[j]}'" for j in joints)
 
     def _words_of_a_leap(self) -> str:
         far = float(np.abs(self._state[_BESIDE]).max())
-        return (f'the arm does not follow: joint {self._movers} moved by up to {far:.3f} rad or m '
-                'without a command as soon as the arm was commanded; does the controller have '
-                "the joints in another order than this planner's, or does something else move "
-                'the arm?')
+        return (f'the arm does not follow: joint {self._named(self._movers)} moved by up to '
+                f'{far:.3f} rad or m without a command as soon as the arm was commanded; '
+                f'{_WHO_MOVES_IT}')
 
     def _words(self) -> str:
-        behind = self._behind
+        behind, movers = self._behind, self._movers
         least = min(self.tolerance, float(behind.max()))
-        stand = [f"joint '{self._names[i]}' stays behind by {behind[i]:.3f}"
-                 for i in np.argsort(-behind) if behind[i] >= least]
-        if self._movers:
-            return (f'the arm does not follow: {", ".join(stand)} rad or m, while joint '
-                    f'{self._movers} moves without a command; does the controller have the '
-                    "joints in another order than this planner's, or does something else move "
-                    'the arm?')
-        return (f'the arm does not follow: {", ".join(stand)} rad or m; is its controller active, '
-                'does it listen to this output, and does the hardware move?')
+        late = [int(i) for i in np.argsort(-behind) if behind[i] >= least]
+        stand = ', '.join(f"joint '{self._names[i]}' stays behind by {behind[i]:.3f}"
+                          for i in late)
+        if not movers:
+            return (f'the arm does not follow: {stand} rad or m; is its controller active, does '
+                    'it listen to this output, does the hardware move, and can its drives move '
+                    'the load?')
+        # Where two are swapped, one that stays behind is another than the one that moves.
+        swapped = not set(late) & set(movers)
+        return (f'the arm does not follow: {stand} rad or m, while joint {self._named(movers)} '
+                f'moves without a command; {_WHO_MOVES_IT if swapped else _WHAT_PULLS_IT}')
 
 
 @compiled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+import itertools
 
 from conftest import examples
 from hypothesis import given, settings, strategies as st
@@ -124,6 +125,26 @@ def test_joints_in_another_order_are_named_before_they_are_far_off(speed):
     assert "joint 'a' stays behind" in reason and "while joint 'b' moves without a comm" in reason
     assert 'another order' in reason
     assert np.abs(arm.q).max() < 0.07 + 0.03 * speed and at < 0.8
+
+
+def test_a_load_that_pulls_joints_against_their_commands_is_no_other_order():
+    arm, ticks = Arm(), itertools.count()
+    arm.move = lambda dq: np.array([0.0, -0.4, 0.0]) * DT * next(ticks)
+    reason, _ = watched(arm, lambda t: np.array([0.1, 0.1, 0.0]), 3.0)
+    assert "joint 'b' moves without a command; is the load more than" in reason
+    assert 'another order' not in reason
+
+
+def test_an_arm_that_went_on_while_nobody_commanded_it_does_not_leap():
+    """A stopped process just after the beginning: a velocity holds until the next one."""
+    for slept in (False, True):
+        following = Following(NAMES, DT, 0.02)
+        following.begin(np.zeros(3))
+        assert following.tick(np.full(3, 0.3), np.zeros(3), NEW) == ''
+        if slept:
+            following.slept()
+        reason = following.tick(np.full(3, 0.3), np.full(3, 0.09), NEW)
+        assert ('as soon as the arm was commanded' in reason) == (not slept)
 
 
 @pytest.mark.parametrize('push', [0.02, 0.1, -0.1])
