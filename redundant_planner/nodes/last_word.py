@@ -99,6 +99,11 @@ class LastWord:
         if self._briefed and self._commands is not None:
             self._commands.note(stamp_ns, positions, velocities)
 
+    @property
+    def stands_by(self) -> bool:
+        """Whether the second process publishes the planner's outputs, or is about to."""
+        return self._briefed and not self._trouble
+
     def state(self, listeners: int) -> str:
         """Return `STARTING`, `READY`, or why no process would stop the arm.
 

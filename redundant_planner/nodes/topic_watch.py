@@ -42,7 +42,7 @@ class TopicWatch:
         twists = ['cmd_vel'] if isinstance(loop.command, CommandInput) else [
             f'{tip}/cmd_vel' for tip in (*loop.command.tips, OBJECT)]
         loop.supervisor.found_publishers(
-            publishers_of(self._node, 'joint_command'),
+            publishers_of(self._node, 'joint_command', has_second=self._last_word.stands_by),
             max((publishers_of(self._node, topic) for topic in twists), key=len))
         state.listeners, before = loop.output.listeners(), state.unheard
         state.unheard = loop.output.unheard()
