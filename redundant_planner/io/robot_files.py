@@ -20,6 +20,7 @@ from redundant_planner.core.errors import known, ParameterError, PlannerError, s
 from redundant_planner.core.parameters import AXES
 from redundant_planner.core.robot import model
 from redundant_planner.core.robot.capsules import Capsule
+from redundant_planner.core.robot.possible_axes import is_overdetermined
 from redundant_planner.core.robot.tips import Axes
 from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import links_without_shape
@@ -215,7 +216,7 @@ def build_robot(
         shapes = [_capsule(name, capsules.get(name, {})) for name in p.capsules]
         return _looked_at(robot_with(shapes, limits), warn)
     if p.link_shapes == 'straight':
-        return robot_with(None, limits)
+        return _looked_at(robot_with(None, limits), warn)
     bare = robot_with([], limits)
     if say is not None:
         kept = ('once for all starts to come' if cache_folder() is not None else
@@ -226,10 +227,14 @@ def build_robot(
 
 
 def _looked_at(arm: Robot, warn: Callable[[str], object] | None) -> Robot:
-    """Return an arm after a word about link shapes that are suspiciously large."""
+    """Return an arm after a word about what is suspicious: large link shapes, too many axes."""
     if warn is not None:
         for sentence in larger_than_the_rest(arm):
             warn(sentence)
+        if is_overdetermined(arm):
+            warn(f"{arm.n} joints cannot follow every twist of {arm.m} axes, at any posture, and "
+                 "the arm may not move at all: name fewer in 'axes', such as vx, vy, vz; "
+                 'show_robot proposes some')
     return arm
 
 

@@ -23,8 +23,10 @@ import yaml
 
 from redundant_planner.analysis.figures import robot_picture
 from redundant_planner.core.errors import known, PlannerError, RobotError
+from redundant_planner.core.parameters import AXES
 from redundant_planner.core.robot.joint_limits import DEFAULT, Sources, URDF
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.possible_axes import possible_axes
 from redundant_planner.core.robot.urdf import read_urdf
 from redundant_planner.core.target.start_posture import start_posture
 from redundant_planner.io.collision_geometry import collision_pieces
@@ -100,6 +102,13 @@ def described_by_urdf(
             limit or _VELOCITY for limit in velocities.values()))
     if sentence := narrower_soft_limits(chain):
         warn(sentence)
+    axes = AXES if tips else possible_axes(chain)
+    if axes != AXES:
+        missing = [axis for axis in AXES if axis not in axes]
+        warn(f"an arm with these {chain.n} joints cannot follow every twist: 'axes' is "
+             f"{', '.join(axes)}, and its motion along {', '.join(missing)} is left to the null "
+             "space; name other axes in the file if it should follow those")
+        parameters = replace(parameters, axes=axes)
     return Described(parameters, {}, {}, assumed)
 
 
