@@ -26,8 +26,12 @@ _MOST_STEPS = 60
 # range, the room between links as a share of the arm's reach, and the same of the height above
 # the base plane of links, and of the tip and the elbow.
 _AMPLE_RANGE, _AMPLE_ROOM, _AMPLE_HEIGHT, _UP = 0.2, 0.02, 0.15, 0.4
-# What is no more than this share of ample makes a posture that much worse, and not useless.
-_LEAST = 1e-3
+# What is no more than this share of ample makes a posture that much worse, and not useless. Links
+# that touch make it worse than all of that: an arm that starts so may not get out.
+_LEAST, _TOUCHING = 1e-3, 1e-30
+# An arm hangs if no more of the postures in which its links do not touch, as a share, have the tip
+# above the base plane.
+_HANGS = 0.02
 # How much worse a posture is with every joint at ±π, with the tip behind the base, and with its
 # z axis, along which most hands reach, straight up.
 _TURNED, _BEHIND, _UPWARD = 0.8, 0.5, 0.5
@@ -54,7 +58,8 @@ def start_posture(robot: Robot, parameters: PlannerParameters | None = None) -> 
     - the least room between links that can collide, beyond their margin; 2 % of the reach is
       enough;
     - the height above the base plane, of the tip and of the highest joint between it and the
-      first, the elbow: 40 % of the reach is enough for both; and that of the lowest link;
+      first, the elbow: 40 % of the reach is enough for both; and that of the lowest link. Of an
+      arm that hangs below its base, as on a drone, only how far below the tip is;
     - small joint angles count for more than large ones, a tip in front of the first joint (along
       x of the base) for more than one behind it, and a hand (z of the tip) that points down for
       more than one that points up.
@@ -158,6 +163,7 @@ class _Judge:
         first = int(self._turns.argmax())
         self._shoulder = robot.joint_points(arm.q)[first]
         self._best = self._steadiest = self._reach = 1.0
+        self._hangs = False
         own = robot.chain.tip_supports > 0.0
         self.tips, self.fixed = len(own), own.sum(axis=0) > 1
         if (own & ~self.fixed).sum(axis=1).min() < _FEWEST:  # they are not on arms of their own
@@ -215,6 +221,8 @@ class _Judge:
             return
         self._reach = max(float(np.linalg.norm(
             seen.tip[:, 0] - np.array((0.0, 0.0, self._shoulder[2])), axis=1).max()), _LEAST)
+        above = seen.tip[seen.room > 0.0, 0, 2] > 0.0
+        self._hangs = bool(len(above)) and float(above.mean()) <= _HANGS
 
     def scores(self, seen: _Seen) -> Array:
         """Return the scores (N,) of postures, 1 at best."""
@@ -226,12 +234,15 @@ class _Judge:
             self._turns, np.minimum(np.abs(seen.q) / math.pi, 1.0) ** 2, 0.0).mean(axis=1)
         x, y = seen.tip[..., 0], seen.tip[..., 1]
         behind = 0.5 - 0.5 * x / np.maximum(np.hypot(x, y), 0.05 * self._reach)
+        height = seen.tip[..., 2] / (_UP * self._reach)
+        high = _enough(-height).prod(axis=1) if self._hangs else (
+            _enough(height).prod(axis=1)
+            * _enough(seen.elbow / (_UP * self._reach)).prod(axis=1)
+            * _enough(1.0 + seen.lowest / (_AMPLE_HEIGHT * self._reach)))
         return np.asarray(
             _enough(to_limit / _AMPLE_RANGE) * np.maximum(able, _LEAST)
-            * _enough(seen.room / (_AMPLE_ROOM * self._reach))
-            * _enough(seen.tip[..., 2] / (_UP * self._reach)).prod(axis=1)
-            * _enough(seen.elbow / (_UP * self._reach)).prod(axis=1)
-            * _enough(1.0 + seen.lowest / (_AMPLE_HEIGHT * self._reach))
+            * np.where(seen.room > 0.0, 1.0, _TOUCHING)
+            * _enough(seen.room / (_AMPLE_ROOM * self._reach)) * high
             * (1.0 - _TURNED * turned) * (1.0 - _BEHIND * behind).prod(axis=1)
             * (1.0 - _UPWARD * (0.5 + 0.5 * seen.upward)).prod(axis=1)
             * _enough(seen.apart / (_AMPLE_APART * self._reach)))

@@ -8,7 +8,7 @@ from conftest import make_paper_arm, PANDA_URDF, planar_urdf, random_postures
 import numpy as np
 import pytest
 
-from benchmark.example_arms import arms, load_arm
+from benchmark.example_arms import arms, load_arm, ROBOTS
 from redundant_planner.core.constants import robot_constants
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
@@ -67,6 +67,16 @@ def test_the_arm_moves_from_its_start_in_every_direction(name):
     assert manipulability(robot, q) >= 0.5 * best
     tip = robot.kinematics(q).tip_position
     assert tip[2] > 0.0, 'above the base plane'
+    for axis in range(3):
+        assert share_of_speed(robot, q, axis) >= 0.9, AXES[axis]
+
+
+def test_an_arm_below_a_drone_hangs_and_moves_in_every_direction():
+    """Above its base it would stand within the rotors. With five joints it controls positions."""
+    robot = load_arm(next(ROBOTS.rglob('hextilt_flying_arm_5.urdf')))
+    assert robot.axes == ('vx', 'vy', 'vz')
+    q = start_posture(robot)
+    assert room(robot, q) > 0.0 and robot.kinematics(q).tip_position[2] < -0.2
     for axis in range(3):
         assert share_of_speed(robot, q, axis) >= 0.9, AXES[axis]
 
