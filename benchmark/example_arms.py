@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 import sysconfig
 
@@ -19,10 +19,13 @@ ROBOTS = (Path(sysconfig.get_paths()['purelib']) / 'cmeel.prefix' / 'share'
 _JOINTS = (6, 7)
 
 
-def arms() -> Iterator[tuple[Path, int]]:
-    """Yield the URDFs of example-robot-data whose likely chain has six or seven joints.
+def arms(joints: Container[int] = _JOINTS) -> Iterator[tuple[Path, int]]:
+    """Yield the URDFs of example-robot-data whose likely chain has so many joints.
 
     With each comes the number of joints.
+
+    Args:
+        joints: how many; six or seven if not given.
     """
     for path in sorted(ROBOTS.rglob('*.urdf')):
         try:
@@ -30,7 +33,7 @@ def arms() -> Iterator[tuple[Path, int]]:
             robot = model.Robot(text, likely_tip(text), capsules=[], velocity_max=1.0)
         except PlannerError:  # no arm at all: rotors, or joints that cannot move
             continue
-        if robot.n in _JOINTS and 'collision' in text:
+        if robot.n in joints and 'collision' in text:
             yield path, robot.n
 
 

@@ -48,7 +48,7 @@ from redundant_planner.tools.show_robot import (
     several_tips,
 )
 
-_ARM, _PLANNER = 'fake_hardware_node', 'planner_node'
+ARM, _PLANNER = 'fake_hardware_node', 'planner_node'
 # How long both nodes get to start, compilation included, and the planner to stop the arm [s].
 _START_PATIENCE, _STOP_PATIENCE = 300.0, 3.0
 # Other nodes announce themselves every 3 s, and are found within this [s].
@@ -209,10 +209,11 @@ def _called_here(command: str) -> list[str]:
     return [sys.executable, '-m', f'redundant_planner.tools.{command}']
 
 
-class _Nodes(Processes):
+class Nodes(Processes):
     """The arm and the planner as processes, whose lines go to the terminal."""
 
     def __init__(self, domain: int) -> None:
+        """Prepare for processes on a ROS domain."""
         super().__init__(domain, self._pass_on)
         self._said: dict[str, deque[str]] = {}
         if sys.stderr.isatty():
@@ -238,7 +239,7 @@ class _Nodes(Processes):
 
 def _run(
     file: Path, values: Mapping[str, object], station: _Station, domain: int,
-    say: Callable[[str], object], tips: Sequence[str],
+    say: Callable[[str], object], tips: Sequence[str], kind: Callable[[int], Nodes],
 ) -> None:
     """Run arm and planner until Ctrl-C.
 
@@ -249,12 +250,13 @@ def _run(
         domain: the ROS domain.
         say: takes what the user is to read.
         tips: of a body with several.
+        kind: of processes, on a ROS domain.
 
     Raises:
         LiveError: one of them ended, or the planner is not ready in time.
         KeyboardInterrupt: as soon as the planner has stopped the arm.
     """
-    with _Nodes(domain) as nodes:
+    with kind(domain) as nodes:
         # It loads for some seconds, and commands nothing before there is an arm.
         planner = nodes.start(_PLANNER, [file], name=_PLANNER)
         try:
@@ -265,7 +267,7 @@ def _run(
                     raise LiveError(f'{_PLANNER} did not get ready within {_START_PATIENCE:g} s')
                 station.listen(_LOOK)
                 if not is_started and station.is_alone(domain):
-                    nodes.start(_ARM, [file], values, name=_ARM)
+                    nodes.start(ARM, [file], values, name=ARM)
                     is_started = True
             station.close()
             say(next_steps(domain, _called_here('drive'), _called_here('go_to'), tips))
@@ -280,8 +282,16 @@ def _run(
             raise
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run quick_start; return the process's exit status: 0 if Ctrl-C ended a running arm."""
+def main(args: list[str] | None = None, kind: Callable[[int], Nodes] = Nodes) -> int:
+    """Run quick_start.
+
+    Args:
+        args: command line.
+        kind: of processes that arm and planner are, on a ROS domain.
+
+    Returns:
+        The process's exit status: 0 if Ctrl-C ended a running arm.
+    """
     parser = argparse.ArgumentParser(prog='quick_start', description=__doc__)
     parser.add_argument('urdf', help='path, file:// or package:// location of the URDF')
     add_arm_options(parser, 'parameter file')
@@ -319,10 +329,10 @@ def main(args: list[str] | None = None) -> int:
                    signal_handler_options=SignalHandlerOptions.NO)
         station = _Station(context)
         arm, file, has_start = prepared(options, say, warn)
-        say(f'starting {_PLANNER} and {_ARM}')
+        say(f'starting {_PLANNER} and {ARM}')
         _run(file, {} if has_start else {
             'initial_joints': list(arm.start), 'initial_positions': list(arm.start.values())},
-            station, domain, say_next, arm.parameters.tips)
+            station, domain, say_next, arm.parameters.tips, kind)
     except LiveError as error:
         print(f'quick_start: {error}', file=sys.stderr)
         return 1

@@ -10,16 +10,18 @@ import subprocess
 import sys
 import time
 
-from conftest import PANDA_URDF
+from conftest import EXAMPLE_ROBOTS, PANDA_URDF
 from live_helpers import children_of, LIVE, PATIENCE, station
 import numpy as np
 import pytest
+from ros_domains import next_domain
 import yaml
 
+from benchmark.first_minute import first_minute
 from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.child_processes import LiveError
-from redundant_planner.tools.quick_start import _Nodes, main, next_steps, prepared
+from redundant_planner.tools.quick_start import main, next_steps, Nodes, prepared
 
 # The end of all processes takes no longer, on a busy machine too [s].
 END = 10.0
@@ -99,10 +101,25 @@ def test_where_an_arm_runs_already_it_does_not_start_another(tmp_path):
             quick.process.kill()
 
 
+@pytest.mark.long
+@pytest.mark.live
+@LIVE
+@pytest.mark.parametrize('urdf, joints, axes', [
+    ('kinova_description/robots/kinova.urdf', 6, ('vz', 'vx', 'vy')),
+    ('hextilt_description/urdf/hextilt_flying_arm_5.urdf', 5, ('vz', 'vx', 'vy'))])
+def test_an_arm_whose_drivers_wrap_and_speak_in_parts_moves_on_the_first_twist(
+    urdf, joints, axes,
+):
+    minute = first_minute(
+        EXAMPLE_ROBOTS / urdf, joints, next_domain(), fresh=False, wrapped=True, parts=True)
+    assert not minute.problem and minute.axes == axes
+    assert min(minute.shares) > 0.9, minute
+
+
 def test_a_node_that_ends_is_named_with_what_it_said_last(tmp_path, capfd):
     script = tmp_path / 'node.py'
     script.write_text("import sys\nprint('parameter is wrong', file=sys.stderr)\nsys.exit(2)")
-    with _Nodes(0) as nodes:
+    with Nodes(0) as nodes:
         child = nodes.start(script, name='planner_node')
         nodes.check()
         child.wait(PATIENCE)
