@@ -39,6 +39,9 @@ _TURNED, _BEHIND, _UPWARD = 0.8, 0.5, 0.5
 # shoulder heights are counted from, and how close to its limits 0 may be for a joint that moves
 # them all to stand there, of its range.
 _AMPLE_APART, _FLOOR, _NEAR_LIMIT = 0.4, 0.5, 0.2
+# Joints count by how fast they are, up to this: a lift that creeps does not make up for an arm
+# that is singular without it [rad/s, m/s].
+_FAST = 0.5
 # Joints that an arm of several has to itself at least.
 _FEWEST = 3
 # Digits that a person reads and types [rad, m].
@@ -54,7 +57,8 @@ def start_posture(robot: Robot, parameters: PlannerParameters | None = None) -> 
 
     - the least distance of a joint to its limits, of its range; a fifth is enough;
     - √det(JJᵀ) and J's smallest singular value, relative to the best seen, and of both the
-      geometric mean. The ratios have no unit, so lengths and angles need not be compared;
+      geometric mean. The ratios have no unit, so lengths and angles need not be compared. Slow
+      joints count for less;
     - the least room between links that can collide, beyond their margin; 2 % of the reach is
       enough;
     - the height above the base plane, of the tip and of the highest joint between it and the
@@ -116,8 +120,8 @@ class _Seen(NamedTuple):
 
     Attributes:
         q: (N, n) [rad, m].
-        manipulability: (N,) √det(JJᵀ).
-        smallest: (N,) singular value of J.
+        manipulability: (N,) √det(JJᵀ), slow joints' columns of J made smaller.
+        smallest: (N,) singular value of that J.
         room: (N,) between links, margin taken off [m]; infinite for links that cannot collide.
         tip: (N, t, 3) in the base frame, seen from the first joint in x and y [m]; of several
             tips each from its shoulder, and in z from the height that it counts from.
@@ -162,6 +166,7 @@ class _Judge:
         # The first joint that turns: what it carries is in front of it or behind.
         first = int(self._turns.argmax())
         self._shoulder = robot.joint_points(arm.q)[first]
+        self._haste = np.minimum(robot.velocity_max / _FAST, 1.0)
         self._best = self._steadiest = self._reach = 1.0
         self._hangs = False
         own = robot.chain.tip_supports > 0.0
@@ -177,7 +182,8 @@ class _Judge:
     def look(self, postures: Array) -> _Seen:
         """Return what is seen at postures (N, n)."""
         arms = self._robot.kinematics_along(postures)
-        values: Array = np.asarray(np.linalg.svd(arms.jacobian, compute_uv=False), dtype=float)
+        values: Array = np.asarray(
+            np.linalg.svd(arms.jacobian * self._haste, compute_uv=False), dtype=float)
         room, tips = np.full(len(postures), np.inf), len(self._robot.tips)
         lowest = arms.tip_positions[:, 2].reshape(-1, tips).min(axis=1)
         if len(self._pairs):

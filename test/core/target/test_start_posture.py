@@ -81,6 +81,16 @@ def test_an_arm_below_a_drone_hangs_and_moves_in_every_direction():
         assert share_of_speed(robot, q, axis) >= 0.9, AXES[axis]
 
 
+def test_an_arm_on_a_slow_lift_moves_in_every_direction():
+    """Its lift alone makes 0.035 m/s; the arm on it must not be singular."""
+    robot = load_arm(next(ROBOTS.rglob('tiago_pro.urdf')))
+    q = start_posture(robot)
+    assert robot.velocity_max[0] < SPEED
+    assert np.linalg.svd(robot.kinematics(q).jacobian[:, 1:], compute_uv=False)[-1] > 0.1
+    for axis in range(3):
+        assert share_of_speed(robot, q, axis) >= 0.9, AXES[axis]
+
+
 def test_the_same_arm_gets_the_same_posture():
     one = Robot(PANDA_URDF.read_text(), 'panda_hand', link_radius=0.05)
     other = Robot(PANDA_URDF.read_text(), 'panda_hand', link_radius=0.05)
