@@ -143,7 +143,11 @@ class _Operator:
             self._executor.spin_once(timeout_sec=0.01)
 
     def close(self) -> None:
-        """Leave."""
+        """Leave: an executor that is not shut down keeps its context on the network.
+
+        On the same domain the next planner would hear two senders of twists.
+        """
+        self._executor.shutdown()
         self._node.destroy_node()
 
 
