@@ -232,9 +232,9 @@ def _looked_at(arm: Robot, warn: Callable[[str], object] | None) -> Robot:
         for sentence in larger_than_the_rest(arm):
             warn(sentence)
         if is_overdetermined(arm):
-            warn(f"{arm.n} joints cannot follow every twist of {arm.m} axes, at any posture, and "
-                 "the arm may not move at all: name fewer in 'axes', such as vx, vy, vz; "
-                 'show_robot proposes some')
+            warn(f"these {arm.n} joints cannot follow every twist of {arm.m} axes, at any "
+                 "posture, and the arm may not move at all: name fewer in 'axes'; show_robot "
+                 'proposes some')
     return arm
 
 

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 
-from conftest import EXAMPLE_ROBOTS, PANDA_URDF
+from conftest import EXAMPLE_ROBOTS, PANDA_URDF, planar_urdf
 from live_helpers import children_of, LIVE, PATIENCE, station
 import numpy as np
 import pytest
@@ -19,9 +19,11 @@ import yaml
 
 from benchmark.first_minute import first_minute
 from redundant_planner.core.errors import PlannerError
-from redundant_planner.io.robot_files import load_robot
+from redundant_planner.io.parameter_files import RobotParameters
+from redundant_planner.io.robot_files import build_robot, load_robot
 from redundant_planner.nodes.child_processes import LiveError
 from redundant_planner.tools.quick_start import main, next_steps, Nodes, prepared
+from redundant_planner.tools.show_robot import described_by_urdf
 
 # The end of all processes takes no longer, on a busy machine too [s].
 END = 10.0
@@ -217,3 +219,21 @@ def test_the_tip_that_it_took_is_said_and_which_links_move_with_it(tmp_path):
     said.clear()
     prepared(options_for(tmp_path, tip='panda_link8', overwrite=True), said.append, said.append)
     assert not any(line.startswith('tip:') for line in said)
+
+
+def test_axes_that_no_posture_can_follow_are_left_out_and_said(tmp_path):
+    urdf, said = tmp_path / 'planar.urdf', []
+    urdf.write_text(planar_urdf())
+    found = described_by_urdf(str(urdf), '', '', said.append).parameters
+    assert found.axes == ('vx', 'vy', 'wz')
+    assert len(said) == 1 and "'axes' is vx, vy, wz, and its motion along vz, wx, wy" in said[0]
+
+
+def test_a_planner_is_warned_of_axes_that_no_posture_can_follow():
+    said = []
+    given = {'tip_frame': 'tip', 'link_shapes': 'straight'}
+    build_robot(RobotParameters(**given), planar_urdf(), {}, warn=said.append)
+    assert len(said) == 1 and 'cannot follow every twist of 6 axes' in said[0]
+    said.clear()
+    build_robot(RobotParameters(**given, axes=('vx', 'vy')), planar_urdf(), {}, warn=said.append)
+    assert not said
