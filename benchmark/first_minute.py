@@ -55,8 +55,9 @@ Array = npt.NDArray[np.float64]
 _SPEED, _RATE, _SECONDS, _SPEEDING_UP = 0.05, 50.0, 0.5, 0.3
 # At least this share of the commanded speed counts as moving.
 _SHARE = 0.9
-# How long quick_start may take, and its end [s].
-_PATIENCE, _END_PATIENCE = 300.0, 20.0
+# How long quick_start may take, which gives up after 300 s itself, its nodes to be found after
+# that, and its end [s].
+_PATIENCE, _FOUND, _END_PATIENCE = 400.0, 20.0, 20.0
 # Within this the arm has to move [s].
 _MINUTE = 60.0
 # How many joints an arm has, and the axes that are tried: up first.
@@ -114,9 +115,13 @@ class _Operator:
         """Command a speed along an axis [m/s] for a while.
 
         Returns:
-            When the tip had moved, and its speed after speeding up as a share of the command.
+            When the tip had moved, and its speed after speeding up as a share of the command;
+            NaN where arm and planner are not there.
         """
+        deadline = time.monotonic() + _FOUND
         while not self._states or not self._twist.get_subscription_count():
+            if time.monotonic() > deadline:
+                return np.nan, np.nan
             self._executor.spin_once(timeout_sec=0.01)
         twist, until = np.zeros(6), time.monotonic() + _SPEEDING_UP + _SECONDS
         twist[axis] = speed

@@ -40,7 +40,9 @@ class _Half(Node):
 if __name__ == '__main__':
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor = best_executor(rclpy.get_default_context())
-    for is_first in (True, False):
-        executor.add_node(_Half(first=is_first))
+    nodes = [_Half(first=True), _Half(first=False)]  # the executor alone would not keep them
+    for node in nodes:
+        executor.add_node(node)
     with contextlib.suppress(KeyboardInterrupt):
-        executor.spin()
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=1.0)
