@@ -77,7 +77,7 @@ class Minute(NamedTuple):
         shares: of the commanded speed, there and back along each of them.
         ended: seconds from Ctrl-C to the end.
         status: exit status then.
-        problem: what quick_start said in place of all this.
+        problem: what quick_start or its nodes said last where the arm does not move.
     """
 
     arm: str
@@ -200,7 +200,14 @@ def first_minute(
                 process.kill()
         return result._replace(
             ended=time.monotonic() - ending, status=process.returncode,
-            problem='' if process.returncode == 0 else log.read_text().splitlines()[-1])
+            problem=_said(log) if process.returncode or not result.moves else '')
+
+
+def _said(log: Path) -> str:
+    """Return what was said last in warning, or last of all."""
+    lines = log.read_text().splitlines()
+    warnings = [line for line in lines if '[WARN]' in line or '[ERROR]' in line]
+    return '; '.join(warnings[-3:] or lines[-1:])
 
 
 def _moved(result: Minute, file: Path, domain: int, begin: float, topic: str) -> Minute:
@@ -213,7 +220,7 @@ def _moved(result: Minute, file: Path, domain: int, begin: float, topic: str) ->
             # There and back.
             for speed in (_SPEED, -_SPEED):
                 moved, share = operator.drive(robot, axis, speed)
-                at = min(at, moved - begin) if shares else moved - begin
+                at = float(np.fmin(at, moved - begin))
                 shares.append(share)
                 operator.rest()
         operator.close()
