@@ -26,34 +26,26 @@ import tempfile
 import time
 from typing import NamedTuple
 
-from geometry_msgs.msg import PoseStamped, Twist
 import numpy as np
 import numpy.typing as npt
-from rcl_interfaces.msg import Log
 import rclpy
 from rclpy.context import Context
-from rclpy.node import Node
 from rich.console import Console
 from rich.table import Table
-from sensor_msgs.msg import JointState
-from visualization_msgs.msg import MarkerArray
 
 from benchmark.example_arms import ROBOTS
+from benchmark.seam_operator import HOME, Operator
 from redundant_planner.analysis.bag_analysis import analyse
 from redundant_planner.analysis.replay_inputs import read_inputs
-from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.robot.turns import TURN
 from redundant_planner.io.bag_reader import Bag, Event, open_bag
 from redundant_planner.io.joint_chunk import JointChunk
 from redundant_planner.io.parameter_files import settings_of
 from redundant_planner.io.recorded_tick import TickKind
 from redundant_planner.nodes.child_processes import LiveError, Processes
-from redundant_planner.nodes.messages import markers_of, positions_from_message, twist_to_message
-from redundant_planner.nodes.pose_messages import pose_to_message
-from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
+from redundant_planner.nodes.runtime import keep_off_shared_memory
 from redundant_planner.tools.replayed_ticks import again, differences
 from redundant_planner.tools.show_robot import Arm, arm_of, described_by_urdf, parameter_file
 
@@ -61,24 +53,8 @@ Array = npt.NDArray[np.float64]
 
 _URDF = ROBOTS / 'kinova_description' / 'robots' / 'kinova.urdf'
 _TIP = 'j2s6s200_end_effector'
-# Where it stands between motions, far from singularities, and of the first joint how far to the
-# sides the poses behind the obstacle are [rad].
-_HOME = np.array([np.pi, 2.892, 5.091, np.pi, 1.035, np.pi])
-_SIDE = 0.5
-# The obstacle's radius [m], half way between those poses.
-_BALL = 0.05
-# How often commands come [Hz], for how long each [s], and how far to and fro joints go [rad].
-_RATE, _LASTS, _SWING = 50.0, 4.2, 0.25
-# Of its velocity limit a joint turns with as much by twists; to and fro it turns for so long [s].
-_SHARE, _TURNS_FOR = 0.95, 1.0
-# Half a period of streams, which the slowest joint can follow [s].
-_HALF = 1.4
-# A target is reached if no joint, or the tip, is further from it [rad, m], and all are slower
-# [rad/s]. It takes no longer than this [s].
-_REACHED, _AT_REST, _PATIENCE = 5e-3, 2e-3, 20.0
+# Of the measurements [rad].
 _NOISE = 1e-4
-# Level of a log's warnings.
-_WARNING = 30
 # Beyond the seam by as much it is crossed [rad].
 _BEYOND = 20.0 * _NOISE
 # Round-off in quotients of recorded numbers.
@@ -137,155 +113,6 @@ class Outcome(NamedTuple):
                 f'of {self.ticks} replayed ticks one is {self.difference:.3g} rad/s off'])]
 
 
-class _Operator:
-    """Commands the arm in every way, and waits for what becomes of it."""
-
-    def __init__(self, context: Context, robot: Robot) -> None:
-        self.said: list[str] = []
-        self.segments: dict[str, int] = {}
-        self.missed: list[str] = []
-        self._robot = robot
-        self._endless = np.flatnonzero(np.isinf(robot.position_max)).tolist()
-        self._sign = 1.0  # of the next turn
-        self._q, self._dq, self._commands = np.full(robot.n, np.nan), np.zeros(robot.n), 0
-        self._node = Node('operator', context=context, enable_rosout=False)
-        self._executor = best_executor(context)
-        self._executor.add_node(self._node)
-        self._twist = self._node.create_publisher(Twist, 'cmd_vel', 10)
-        self._joints = self._node.create_publisher(JointState, 'target_joints', 10)
-        self._pose = self._node.create_publisher(PoseStamped, 'target_pose', 10)
-        self._obstacles = self._node.create_publisher(MarkerArray, 'obstacles', 10)
-        self._node.create_subscription(JointState, 'joint_states', self._on_states, 10)
-        self._node.create_subscription(JointState, 'joint_command', self._on_command, 10)
-        self._node.create_subscription(Log, '/rosout', self._on_log, 100)
-
-    def _on_states(self, message: JointState) -> None:
-        self._q = positions_from_message(message, self._robot.joint_names)
-
-    def _on_command(self, message: JointState) -> None:
-        self._dq, self._commands = np.array(message.velocity), self._commands + 1
-
-    def _on_log(self, message: Log) -> None:
-        if message.level >= _WARNING:
-            self.said.append(message.msg)
-
-    def spin(self, seconds: float = 0.01) -> None:
-        """Listen for a while [s]."""
-        until = time.monotonic() + seconds
-        while (rest := until - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=rest)
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether the planner commands the arm, and hears all commands."""
-        return bool(self._commands) and np.isfinite(self._q).all() and all(
-            publisher.get_subscription_count() >= 2  # planner and recorder
-            for publisher in (self._twist, self._joints, self._pose, self._obstacles))
-
-    def command(self, until: float) -> None:
-        """Command the arm in every way, in turn, until a time of the monotonic clock is over [s].
-
-        The last round is finished.
-        """
-        kinds: dict[str, Callable[[], None]] = {
-            'joint targets': self._to_joints, 'twists': self._turn,
-            'a stream of poses': lambda: self._stream(self._send_pose),
-            'a stream of joint positions': lambda: self._stream(self._send_joints),
-            'free ways': self._around}
-        self._reach('the first posture', _HOME)
-        while time.monotonic() < until:
-            for kind, do in kinds.items():
-                do()
-                self._reach(kind, _HOME)
-                self.segments[kind] = self.segments.get(kind, 0) + 1
-
-    def _send_joints(self, q: Array) -> None:
-        self._joints.publish(JointState(name=self._robot.joint_names, position=q.tolist()))
-
-    def _send_pose(self, q: Array) -> None:
-        """Send the pose of the tip at a posture (n,)."""
-        arm = self._robot.kinematics(q)
-        self._pose.publish(pose_to_message(
-            Pose(arm.tip_position, arm.tip_rotation), self._robot.base_frame))
-
-    def _swung(self, by: float) -> Array:
-        """Return the home posture (n,) with all joints without end turned [rad]."""
-        q = _HOME.copy()
-        q[self._endless] += by
-        return q
-
-    def _reach(self, kind: str, q: Array) -> None:
-        """Go to joint positions (n,)."""
-        self._send_joints(q)
-        self._arrive(kind, lambda: float(np.abs(np.where(
-            np.isinf(self._robot.position_max), 2.0 * np.sin(0.5 * (self._q - q)),
-            self._q - q)).max()))
-
-    def _arrive(self, kind: str, off: Callable[[], float]) -> None:
-        """Wait until the arm is at rest where it is told to go, or for too long."""
-        deadline = time.monotonic() + _PATIENCE
-        while off() > _REACHED or np.abs(self._dq).max() > _AT_REST:
-            if time.monotonic() > deadline:
-                self.missed.append(kind)
-                return
-            self.spin()
-
-    def _to_joints(self) -> None:
-        for by in (_SWING, -_SWING, _SWING, -_SWING):
-            self._reach('joint targets', self._swung(by))
-
-    def _turn(self) -> None:
-        """Turn joint by joint by twists: to and fro, the last one all around besides."""
-        self._sign = -self._sign
-        for joint in self._endless:
-            for sign, share in ((1.0, 0.5), (-1.0, 1.0), (1.0, 0.5)):
-                self._twist_of(joint, sign, share * _TURNS_FOR)
-        last = self._endless[-1]
-        self._twist_of(last, self._sign, TURN / (_SHARE * self._robot.velocity_max[last]))
-        while np.abs(self._dq).max() > _AT_REST:
-            self.spin()
-
-    def _twist_of(self, joint: int, sign: float, seconds: float) -> None:
-        """Send the twist that one joint alone makes, for a while [s]."""
-        rate = sign * _SHARE * self._robot.velocity_max[joint]
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            self._twist.publish(twist_to_message(
-                rate * self._robot.kinematics(self._q).jacobian[:, joint]))
-            self.spin(1.0 / _RATE)
-
-    def _stream(self, send: Callable[[Array], None]) -> None:
-        """Send where the tip, or each joint, is along one motion to and fro."""
-        begin = time.monotonic()
-        while (elapsed := time.monotonic() - begin) < _LASTS:
-            send(self._swung(_SWING * np.sin(np.pi * elapsed / _HALF)))
-            self.spin(1.0 / _RATE)
-
-    def _around(self) -> None:
-        """Go from one side of an obstacle to the other and back."""
-        sides = [_HOME + by * np.eye(len(_HOME))[0] for by in (_SIDE, -_SIDE)]
-        self._reach('free ways', sides[0])
-        ball = markers_of([Obstacle(
-            'ball', self._robot.kinematics(_HOME).tip_position, np.full(3, _BALL))],
-            self._robot.base_frame)
-        self._obstacles.publish(ball)
-        self.spin(0.2)
-        for q in (sides[1], sides[0]):
-            there = self._robot.kinematics(q).tip_position
-            self._send_pose(q)
-            self._arrive('free ways', lambda there=there: float(np.linalg.norm(
-                self._robot.kinematics(self._q).tip_position - there)))
-        for marker in ball.markers:
-            marker.action = marker.DELETE
-        self._obstacles.publish(ball)
-        self.spin(0.2)
-
-    def close(self) -> None:
-        """Leave."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-
-
 def run(
     folder: Path, seconds: float, domain: int, kind: type[Processes] = Processes,
 ) -> Outcome:
@@ -301,7 +128,7 @@ def run(
         LiveError: a process ended, or did not get ready.
     """
     arm = arm_of(described_by_urdf(str(_URDF), _TIP, '', lambda _: None), lambda _: None,
-                 _HOME.tolist())
+                 HOME.tolist())
     file, bag = folder / 'kinova.yaml', folder / 'bag'
     file.write_text(parameter_file(arm.parameters, arm.robot, arm.start, arm.sources))
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -310,7 +137,7 @@ def run(
     rclpy.init(context=context, domain_id=domain)
     try:
         with kind(domain) as processes:
-            operator = _Operator(context, arm.robot)
+            operator = Operator(context, arm.robot)
             recorder = subprocess.Popen(
                 [sys.executable, '-m', 'redundant_planner.tools.record_bag', str(bag)],
                 env=processes.environment, stdout=subprocess.DEVNULL)
@@ -340,7 +167,7 @@ def _hears(bag: Path) -> bool:
 
 
 def _wait(
-    done: Callable[[], bool], processes: Processes, operator: _Operator, what: str,
+    done: Callable[[], bool], processes: Processes, operator: Operator, what: str,
 ) -> None:
     deadline = time.monotonic() + _START
     while not done():
@@ -350,7 +177,7 @@ def _wait(
         operator.spin(0.1)
 
 
-def judged(bag: Path, arm: Arm, operator: _Operator, seconds: float) -> Outcome:
+def judged(bag: Path, arm: Arm, operator: Operator, seconds: float) -> Outcome:
     """Return what a bag shows, and what its operator has heard.
 
     Args:
