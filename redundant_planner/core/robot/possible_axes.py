@@ -18,6 +18,8 @@ _POSTURES = 100
 # A singular value below this share of the largest, at the best posture, is none: arms that can
 # move along every axis have 0.08 and more, and rounded angles of a URDF leave 1e-3 and less.
 _NONE = 0.01
+# A tip whose places lie no further apart only turns [m].
+_IN_PLACE = 1e-6
 
 
 def possible_axes(robot: Robot) -> tuple[str, ...]:
@@ -57,7 +59,9 @@ def _scaled_jacobians(robot: Robot) -> Array:
     high = np.where(limited, robot.position_max, math.pi)
     arms = robot.kinematics_along(
         np.random.default_rng(0).uniform(low, high, (_POSTURES, robot.n)))
-    size = 0.5 * np.linalg.norm(np.ptp(arms.tip_positions.reshape(-1, 3), axis=0))
+    size = 0.5 * float(np.linalg.norm(np.ptp(arms.tip_positions.reshape(-1, 3), axis=0)))
+    if size < _IN_PLACE:
+        size = 1.0
     return np.where(robot.rows[:, None] % 6 < 3, 1.0, size) * arms.jacobian
 
 

@@ -2,6 +2,7 @@
 
 The steps are Levenberg's and Marquardt's, damped by a share of the squared error that is left:
 they converge quadratically near a singularity, too (Yamashita and Fukushima 2001; Sugihara 2011).
+A joint at its limit takes no part in a step that would lead it beyond: the others make up for it.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class Solution(NamedTuple):
     Attributes:
         q: (n,) the posture [rad, m].
         error: of the tip at its worst controlled axis [m, rad].
-        steps: that were taken.
+        steps: that were computed; those that would lead joints beyond their limits count, too.
     """
 
     q: Vector
@@ -53,11 +54,17 @@ class Solution(NamedTuple):
 
 
 @kernel
+def _leads_beyond(q: float, move: float, low: float, high: float) -> bool:
+    """Return whether a joint is at a limit and moves outwards."""
+    return (q <= low and move < 0.0) or (q >= high and move > 0.0)
+
+
+@kernel
 def _solve(
     arm: Kinematics, places: JointPlaces, poses: Poses, chain: Chain, joints: PathJoints,
 ) -> tuple[float, int]:
     """Lead an arm's posture to its tips' poses; return the worst axis' error and the steps."""
-    squares = np.empty(_MOST_STEPS + 1)
+    squares, computed = np.empty(_MOST_STEPS + 1), 0
     for step in range(_MOST_STEPS + 1):
         fill_tip(chain, places, arm)
         error = error_to(poses, Poses(arm.tip_positions, arm.tip_rotations), chain.rows,
@@ -69,13 +76,27 @@ def _solve(
         if worst < AT_POSE or step == _MOST_STEPS or (
                 step >= _PATIENCE and squares[step] > 0.5 * squares[step - _PATIENCE]):
             break
-        orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * joints.scaling)
-        move = step_to_pose(
-            orthogonal, upper, error, max(_DAMPING * squares[step], _LEAST_DAMPING))
+        # 0 for joints that stay at their limits, at first those that the gradient leads beyond.
+        scaling, within = joints.scaling.copy(), False
+        for j in range(len(scaling)):
+            along = 0.0
+            for row in range(len(error)):
+                along += arm.jacobian[row, j] * error[row]
+            if _leads_beyond(arm.q[j], along, joints.position_min[j], joints.position_max[j]):
+                scaling[j] = 0.0
+        while not within:
+            orthogonal, upper = null_space.orthogonal_factors(arm.jacobian * scaling)
+            move = scaling * step_to_pose(
+                orthogonal, upper, error, max(_DAMPING * squares[step], _LEAST_DAMPING))
+            within, computed = True, computed + 1
+            for j in range(len(move)):
+                if _leads_beyond(
+                        arm.q[j], move[j], joints.position_min[j], joints.position_max[j]):
+                    scaling[j], within = 0.0, False
         for j in range(len(move)):
-            there = arm.q[j] + joints.scaling[j] * move[j]
-            arm.q[j] = min(max(there, joints.position_min[j]), joints.position_max[j])
-    return worst, step
+            arm.q[j] = min(max(arm.q[j] + move[j], joints.position_min[j]),
+                           joints.position_max[j])
+    return worst, computed
 
 
 @entry

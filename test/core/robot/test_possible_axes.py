@@ -47,10 +47,11 @@ SIX = [UP, ACROSS, ACROSS, ALONG, ACROSS, ALONG]
     (chain([UP, UP, UP, UP], ['revolute', 'revolute', 'revolute', 'prismatic']),
      ('vx', 'vy', 'vz', 'wz')),
     (chain([ALONG, ACROSS], ['prismatic'] * 2), ('vx', 'vy')),
+    (chain([ALONG]), ('wx',)),
     # A plane that leans: two axes say where in it, and one how it turns.
     (chain([UP] * 5, mount='0.8 0 0'), ('vx', 'vy', 'wy'))],
     ids=['six', 'seven', 'five', 'three', 'planar', 'upright plane', 'rounded', 'SCARA', 'gantry',
-         'leaning plane'])
+         'in place', 'leaning plane'])
 def test_an_arm_can_follow_the_axes_that_are_proposed(robot, axes):
     assert possible_axes(robot) == axes
     assert is_overdetermined(robot) == (axes != AXES)
