@@ -322,3 +322,17 @@ def test_a_part_that_comes_seldom_has_not_jumped():
     posture = posture + [0.6, 0.0]
     supervisor.measured(posture, now, np.array([0]))
     assert 'jumped' in supervisor.decide(now, False, 1.0).hold
+
+
+@pytest.mark.parametrize('quiet, tries', [(0.0, False), (0.25, False), (0.31, True)])
+def test_an_arm_that_did_not_follow_tries_again_after_a_pause_of_the_stick_alone(quiet, tries):
+    """A stick that drops out for a moment is held still."""
+    held = Supervisor(FASTEST, TOLERANCE)
+    held.heard_a_wish(True, START, False)
+    held.does_not_follow('the arm does not follow')
+    held.heard_a_wish(True, START + 1.0, True)
+    assert not held.tries
+    if quiet:
+        held.heard_a_wish(False, START + 2.0, True)
+    held.heard_a_wish(True, START + 2.0 + quiet, True)
+    assert held.tries == tries
