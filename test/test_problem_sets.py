@@ -301,7 +301,7 @@ def test_roboplans_planner_goes_around_what_is_in_the_way():
     near = [
         Obstacle.box('post', between, (0.05, 0.05, 0.3)),
         Obstacle.cylinder('can', between, 0.05, 0.3),
-        Obstacle.capsule('ball', between, 0.08, 0.0)]
+        Obstacle.capsule('ball', between, 0.08, 0.0), Obstacle('egg', between, np.full(3, 0.08))]
     lengths = []
     for obstacles in ((), *((obstacle,) for obstacle in near)):
         run = planned(robot, Problem('p', 'f', obstacles, PANDA_READY, goal), 0.01)
@@ -315,6 +315,6 @@ def test_roboplans_planner_goes_around_what_is_in_the_way():
             assert link_clearance(
                 maps, arm.segment_start, arm.segment_end).distance.min() > 0.005
     assert lengths[0] == pytest.approx(1.6, abs=0.01) and min(lengths[1:]) > 1.61
-    ellipsoid = Obstacle('egg', between, np.full(3, 0.05))
+    ellipsoid = Obstacle('egg', between, np.array([0.05, 0.05, 0.06]))
     with pytest.raises(ValueError, match="no shape like that of 'egg'"):
         planned(robot, Problem('p', 'f', (ellipsoid,), PANDA_READY, goal), 0.01)

@@ -31,7 +31,7 @@ from roboplan.toppra import PathParameterizerTOPPRA, SplineFittingMode, TOPPRAOp
 from benchmark.peers.mjcf import mjcf
 from benchmark.problem_sets.problem import Problem
 from benchmark.problem_sets.servo import DT, Run
-from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, Obstacle
+from redundant_planner.core.obstacles.obstacle import BOX, CAPSULE, CYLINDER, ELLIPSOID, Obstacle
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.model import Robot
 
@@ -68,7 +68,7 @@ def planned(robot: Robot, problem: Problem, margin: float, seed: int = 0) -> Run
     rrt = RRT(scene, options)
     rrt.setRngSeed(seed)
     names, reason = list(robot.joint_names), ''
-    postures = problem.start[None]
+    postures = np.array((problem.start, problem.start))  # it stands where it finds no way
     try:
         path = rrt.plan(*(JointConfiguration(names, q) for q in (problem.start, problem.goal)))
         path = PathShortcutter(scene, PathShortcuttingOptions(
@@ -111,6 +111,9 @@ def _added(scene: Scene, name: str, obstacle: Obstacle) -> list[str]:
     x, y, z = obstacle.half_extents.tolist()
     if obstacle.shape == BOX:
         scene.addBoxGeometry(name, 'universe', Box(2.0 * x, 2.0 * y, 2.0 * z), place, _GRAY)
+        return [name]
+    if obstacle.shape == ELLIPSOID and x == y == z:
+        scene.addSphereGeometry(name, 'universe', Sphere(x), place, _GRAY)
         return [name]
     if obstacle.shape not in (CYLINDER, CAPSULE):
         raise ValueError(f"RoboPlan's scene takes no shape like that of '{obstacle.name}': it has "
