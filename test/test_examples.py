@@ -96,7 +96,7 @@ def test_knowing_the_twists_to_come_shortens_the_joint_path(tmp_path):
 def test_the_tool_goes_to_a_pose(tmp_path):
     text = run('07_go_to_a_pose.py', tmp_path)
     distances = numbers(r'moving +([\d.]+) mm', text)
-    assert len(distances) > 2 and distances == sorted(distances, reverse=True)
+    assert len(distances) > 1 and distances == sorted(distances, reverse=True)
     (seconds,) = numbers(r'reached after ([\d.]+) s', text)
     assert seconds < 2.0 and numbers(r'off by ([\d.]+) mm', text)[0] < 0.3
 

@@ -44,8 +44,9 @@ _INSIDE, _AT_GOAL = 2e-3, 1e-4
 _PRICE_OF_ASIDE = 0.01
 # Branches that a tree without goals grows between guesses.
 _LOOKS_AROUND = 10
-# Guesses at goal postures before each attempt, and how many postures are enough.
-_GUESSES, _GOALS = 60, 24
+# Guesses at goal postures before each attempt, how many postures are enough, and how many of them
+# one guess may find: those along its null space are of one family.
+_GUESSES, _GOALS, _OF_A_GUESS = 60, 12, 6
 # Guesses without any posture after which a pose counts as out of reach.
 _GUESSES_OUT_OF_REACH = 300
 # A straight motion to a goal that is further than the nearest by this share is as good.
@@ -183,14 +184,20 @@ class PathSearch:
     def _guess(self) -> Generator[None, None, None]:
         """Look for goal postures."""
         until = self._guesses + _GUESSES
+        family: list[Place] = []
         while len(self._goals) < _GOALS and self._guesses < until:
             found = next(self._postures)
             yield
             for goal in found or ():
                 if (goal.room >= _AT_GOAL).all():
-                    self._goals.append(goal)
+                    family.append(goal)
                 elif self._tightest is None or goal.room.min() > self._tightest.min():
                     self._tightest = goal.room
+            if found is None:
+                family.sort(key=lambda goal: float(
+                    self._space.distance(self._start.q, goal.q)))
+                self._goals += family[::-(-len(family) // _OF_A_GUESS) or 1]
+                family = []
             self._guesses += found is None
             self._reached = self._reached or bool(found)
         self.out_of_reach = not self._reached and self._guesses >= _GUESSES_OUT_OF_REACH

@@ -15,6 +15,8 @@ from redundant_planner.core.constants import limits_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.robot.se3 import stacked
+from redundant_planner.core.target import path_search
 from redundant_planner.core.target.free_way import Stretch
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.joint_way import JointWay
@@ -184,3 +186,30 @@ def test_no_speed_limit_is_as_fast_as_the_joints_and_one_that_is_set_holds():
         seconds.append(DT * len(v))
     assert speeds[1] <= 0.2 * 1.01 and speeds[0] > 0.6
     assert seconds[1] > 2.0 * seconds[0]
+
+
+def test_goals_are_of_several_families_and_each_has_its_nearest(monkeypatch):
+    """Many postures along the null space of one guess leave room for those of others."""
+    space, random = space_among([]), np.random.default_rng(3)
+    postures = random.uniform(PANDA.position_min, PANDA.position_max, (1600, 7))
+    free = [place for place in map(space.place, postures) if (place.room >= 1e-3).all()]
+    families = [free[30 * i:30 * (i + 1)] for i in range(8)]
+
+    def guessed(*_):
+        for family in families:
+            yield [*family[:10]]
+            yield []
+            yield [*family[10:]]
+            yield None
+
+    monkeypatch.setattr(path_search, 'goal_postures', guessed)
+    search = path_search.PathSearch(
+        space, PANDA_READY, stacked((tip(ROBOT, PANDA_READY),)), gives_way=False)
+    for _ in search._guess():
+        pass
+    of_each = [[goal for goal in search._goals if any(goal.q is one.q for one in family)]
+               for family in families]
+    assert max(map(len, of_each)) <= 6 and sum(map(bool, of_each)) >= 2
+    for family, chosen in zip(families, of_each):
+        nearest = min(family, key=lambda one: space.distance(PANDA_READY, one.q))
+        assert not chosen or any(one.q is nearest.q for one in chosen)
