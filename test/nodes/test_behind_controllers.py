@@ -29,6 +29,15 @@ def behind(controller, **options):
     return run
 
 
+def after_a_motion(output, **options):
+    """Return a loop whose stick has just been let go of."""
+    run = behind(output, **options)
+    run.drive(FORWARD)
+    run.run(0.5)
+    run.drive(None)
+    return run
+
+
 @pytest.mark.first_alone
 @pytest.mark.parametrize('command, output', [
     *(('cmd_vel', output) for output in OUTPUTS),
@@ -103,10 +112,7 @@ def test_names_in_trajectories_swap_nothing():
 @pytest.mark.parametrize('output', OUTPUTS)
 def test_where_others_have_moved_the_arm_it_stays(output):
     """MoveIt's usual switch of controllers, without a pause."""
-    run = behind(output)
-    run.drive(FORWARD)
-    run.run(0.5)
-    run.drive(None)
+    run = after_a_motion(output)
     run.run(1.0)
     run.manager.settings = Settings(active=False, moved=dict.fromkeys(PANDA.joint_names, 0.12))
     run.run(2.0)
@@ -126,10 +132,7 @@ def test_where_others_have_moved_the_arm_it_stays(output):
 @pytest.mark.parametrize('output', [POSITION, TRAJECTORY, VELOCITY])
 @pytest.mark.parametrize('tolerance', [0.02, 0.0])
 def test_a_paused_arm_that_others_move_a_little_does_not_leap_back(tolerance, output):
-    run = behind(output, follow_tolerance=tolerance)
-    run.drive(FORWARD)
-    run.run(0.5)
-    run.drive(None)
+    run = after_a_motion(output, follow_tolerance=tolerance)
     run.loop.supervisor.pause(True)
     run.run(2.0)
     run.manager.settings = Settings(active=False, moved=dict.fromkeys(PANDA.joint_names, 0.015))
@@ -147,10 +150,7 @@ def test_a_paused_arm_that_others_move_a_little_does_not_leap_back(tolerance, ou
 @pytest.mark.parametrize('speed, seconds', [(0.002, 2.0), (0.001, 1.0), (0.02, 0.2), (0.12, 2.0)])
 def test_a_resting_arm_that_others_move_a_little_stays_there(speed, seconds, tolerance, output):
     """Nobody has paused it: it corrects where it stands, and nobody hears that."""
-    run = behind(output, follow_tolerance=tolerance)
-    run.drive(FORWARD)
-    run.run(0.5)
-    run.drive(None)
+    run = after_a_motion(output, follow_tolerance=tolerance)
     run.run(2.0)
     run.manager.settings = Settings(active=False, moved=dict.fromkeys(PANDA.joint_names, speed))
     run.run(seconds)

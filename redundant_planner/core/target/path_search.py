@@ -8,6 +8,7 @@ ends. The random numbers are always the same, and so is the result.
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -44,9 +45,9 @@ _INSIDE, _AT_GOAL = 2e-3, 1e-4
 _PRICE_OF_ASIDE = 0.01
 # Branches that a tree without goals grows between guesses.
 _LOOKS_AROUND = 10
-# Guesses at goal postures before each attempt, how many postures are enough, and how many of them
-# one guess may find: those along its null space are of one family.
-_GUESSES, _GOALS, _OF_A_GUESS = 60, 12, 6
+# Guesses at goal postures before each attempt, and how many postures are enough. Half of them may
+# come of one guess: those along its null space are of one family.
+_GUESSES, _GOALS = 60, 12
 # Guesses without any posture after which a pose counts as out of reach.
 _GUESSES_OUT_OF_REACH = 300
 # A straight motion to a goal that is further than the nearest by this share is as good.
@@ -196,7 +197,7 @@ class PathSearch:
             if found is None:
                 family.sort(key=lambda goal: float(
                     self._space.distance(self._start.q, goal.q)))
-                self._goals += family[::-(-len(family) // _OF_A_GUESS) or 1]
+                self._goals += _evenly(family, _GOALS // 2)
                 family = []
             self._guesses += found is None
             self._reached = self._reached or bool(found)
@@ -323,6 +324,11 @@ class PathSearch:
                 len(self._start.q), len(self._start.room),
                 float((ends.max(axis=0) - ends.min(axis=0)).max(initial=0.0)))
         return self._memory
+
+
+def _evenly(places: list[Place], most: int) -> list[Place]:
+    """Return so many of some places at most, evenly spread, the first one among them."""
+    return places[::max(math.ceil(len(places) / most), 1)]
 
 
 def _stacked(places: Sequence[Place]) -> tuple[Array, Array]:
