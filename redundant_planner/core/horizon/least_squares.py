@@ -86,21 +86,23 @@ def smallest_of(hessian: Matrix, linear: Vector, band: int) -> Array:
         band: entries of H that are further than this from its diagonal are 0.
     """
     size = len(linear)
-    lower, w = np.zeros((size, size)), np.empty(size)
+    # Of the factor's row i, entries from i − band on: what lies before them is 0.
+    lower, w = np.zeros((size, band + 1)), np.empty(size)
     for i in range(size):
         first = max(i - band, 0)
         for j in range(first, i + 1):
             total = hessian[i, j]
             for k in range(first, j):
-                total -= lower[i, k] * lower[j, k]
-            lower[i, j] = math.sqrt(total) if i == j else total / lower[j, j]
+                total -= lower[i, k - i + band] * lower[j, k - j + band]
+            lower[i, j - i + band] = (
+                math.sqrt(total) if i == j else total / lower[j, band])
         total = -linear[i]
         for k in range(first, i):
-            total -= lower[i, k] * w[k]
-        w[i] = total / lower[i, i]
+            total -= lower[i, k - i + band] * w[k]
+        w[i] = total / lower[i, band]
     for i in range(size - 1, -1, -1):
         total = w[i]
         for k in range(i + 1, min(i + band + 1, size)):
-            total -= lower[k, i] * w[k]
-        w[i] = total / lower[i, i]
+            total -= lower[k, i - k + band] * w[k]
+        w[i] = total / lower[i, band]
     return w

@@ -31,8 +31,8 @@ Array = npt.NDArray[np.float64]
 # Most room that is asked of pairs of links [m]: a Panda's hand is close to its link5 in most ways.
 _ROOM_OF_PAIRS = 2e-3
 # What postures cost to look at besides their distances, each and together, and what a piece of
-# work costs at most, in distances: each takes about 0.1 µs.
-_COST_OF_POSTURE, _COST_OF_CALL, _PIECE = 40, 100, 1500
+# work costs at most, in distances: each takes about 35 ns.
+_COST_OF_POSTURE, _COST_OF_CALL, _PIECE = 40, 100, 3000
 # What a barrier of the user's own costs at a posture, in distances, how much of it is asked of a
 # way, more than the filter keeps, and how far apart postures are looked at [rad, m].
 _COST_OF_RULE, _ROOM_OF_RULES, _KEPT_OF_RULES, _STEP = 400, 0.01, 2e-3, 0.05
@@ -88,8 +88,8 @@ class FreeSpace:
         reach.append(np.zeros((self._rules, robot.n)))
         self.reach = np.vstack(reach)
         self.around = Around(
-            obstacles, constants.radii, constants.self_pairs, constants.cone, in_cone,
-            np.where(self.reach.any(axis=1), 0.0, np.inf))
+            obstacles, constants.radii, constants.self_pairs, constants.self_supports,
+            constants.cone, in_cone, np.where(self.reach.any(axis=1), 0.0, np.inf))
         self.cost = obstacles.smallest.size + len(constants.self_pairs) + _COST_OF_POSTURE
         self.at_once = max(_PIECE // self.cost, 1)
 

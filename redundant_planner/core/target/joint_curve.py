@@ -6,6 +6,8 @@ control points, the closer it comes to them.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -53,8 +55,18 @@ def resampled(polygon: Array, scaling: Array, spacing: float) -> Array:
         scaling: (n,) of the joints' lengths, see `PathJoints`.
         spacing: with joint weights [rad].
     """
+    size = float(_along(polygon, scaling)[-1])
+    return evenly(polygon, scaling, max(math.ceil(min(size / spacing, _MOST_PIECES)), 4))
+
+
+def evenly(polygon: Array, scaling: Array, pieces: int) -> Array:
+    """Return points (pieces + 1, n) along a polygon (c, n), evenly spaced; see `resampled`."""
+    along = _along(polygon, scaling)
+    at = np.linspace(0.0, along[-1], pieces + 1)
+    return np.stack([np.interp(at, along, column) for column in polygon.T], axis=1)
+
+
+def _along(polygon: Array, scaling: Array) -> Array:
+    """Return how long a polygon is up to each of its corners (c,), with joint weights [rad]."""
     steps = np.diff(polygon, axis=0) / scaling
-    along = np.concatenate((np.zeros(1), np.cumsum(np.sqrt((steps * steps).sum(axis=1)))))
-    count = max(int(np.ceil(min(along[-1] / spacing, _MOST_PIECES))), 4)
-    at = np.linspace(0.0, along[-1], count + 1)
-    return np.array([np.interp(at, along, column) for column in polygon.T]).T
+    return np.concatenate((np.zeros(1), np.cumsum(np.sqrt((steps * steps).sum(axis=1)))))

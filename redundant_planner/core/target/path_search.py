@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.robot.se3 import Poses, stacked
 from redundant_planner.core.robot.turns import nearest_turn
+from redundant_planner.core.target.elastic_band import pulled_tight
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.goal_postures import goal_postures, only_posture
@@ -114,7 +115,7 @@ class PathSearch:
         """Search, and pause after each piece of work."""
         attempt = 0
         if self.way is not None:
-            yield from self._shortened(self.way, self.room, *_THOROUGHLY)
+            yield from self._improved(self.way, self.room)
             self.rounds += 1
         while True:
             yield from self._guess()
@@ -126,10 +127,11 @@ class PathSearch:
                 continue
             way = yield from self._connected(room, most_nodes)
             if way is not None:
-                way = yield from self._shortened(way, room, *_ROUGHLY)
+                way = yield from self._cut_short(way, room, *_ROUGHLY)
+                way = yield from self._tight(way, room)
                 self.shortened = True
                 if self._price_of(way, room) < _PROMISES * self._price:
-                    yield from self._shortened(way, room, *_THOROUGHLY)
+                    yield from self._improved(way, room)
             self.rounds += self.way is not None
 
     @property
@@ -278,7 +280,22 @@ class PathSearch:
                 return ended
             yield
 
-    def _shortened(
+    def _improved(self, way: Way, room: float) -> Generator[None, None, None]:
+        """Make a way shorter that may be the best."""
+        way = yield from self._cut_short(way, room, *_THOROUGHLY)
+        yield from self._tight(way, room)
+
+    def _tight(self, way: Way, room: float) -> Generator[None, None, Way]:
+        """Return a way pulled tight, if it then has as much room."""
+        if len(way) == 2:
+            return way
+        tight = yield from pulled_tight(self._space, way, room)
+        if tight is None:
+            return way
+        self._note(tight, room)
+        return tight
+
+    def _cut_short(
         self, way: Way, room: float, attempts: int, most_in_vain: int,
     ) -> Generator[None, None, Way]:
         """Return a way that is shorter by straight motions with as much room.

@@ -61,6 +61,7 @@ class Around(NamedTuple):
         obstacles: for links with their margin.
         radii: (c,) with half the margin between links [m].
         links: (p, 2) which of them can collide.
+        supports: (p, n) see `SelfPairs`.
         cone: that the tip stays in.
         in_cone: whether it has to.
         forgiven: (k,) what is added to the room, infinite for links that cannot move.
@@ -69,6 +70,7 @@ class Around(NamedTuple):
     obstacles: InflatedObstacles
     radii: Vector
     links: IndexPairs
+    supports: Matrix
     cone: Cone
     in_cone: bool
     forgiven: Vector

@@ -153,7 +153,7 @@ def test_a_way_is_followed_within_the_limits_and_ends_at_rest(seed, corners, spe
 
 def test_a_better_rest_is_taken_up_in_motion_without_a_jump():
     """The arm sets off within a tenth of a second, and still goes a short way."""
-    scene = Scene.of([WALL, Obstacle.box('shelf', (0.45, 0.0, 0.75), (0.3, 0.5, 0.02))])
+    scene = Scene.of([WALL, Obstacle.box('shelf', (0.45, 0.0, 0.65), (0.3, 0.5, 0.02))])
     run, target = Run(start=LEFT), tip(ROBOT, RIGHT)
     curves = []
 
