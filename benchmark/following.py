@@ -31,7 +31,7 @@ from benchmark.closest_approach import Motion
 from benchmark.controlled_loop import Commands, ControlledLoop
 from benchmark.generator import DURATION, generate, Task
 from benchmark.robots import make_robot
-from benchmark.ros2_control import OUTPUTS, POSITION, Settings, TRAJECTORY
+from benchmark.ros2_control import OUTPUTS, POSITION, Settings, TRAJECTORY, VELOCITY
 from redundant_planner.core.robot.model import Robot
 
 Array = npt.NDArray[np.float64]
@@ -106,7 +106,7 @@ class Guilty(NamedTuple):
         case, output, command: which, and how it was commanded.
         error_s: from the first command that moves, or from the trouble on, to the error;
             infinite if there was none [s].
-        rest_s: the same, to the last command that moves [s].
+        rest_s: the same, to the last command that moves, or that comes back to the arm [s].
         awake_speed, awake_way: once it wakes up, until a fresh command: the fastest any joint
             moves and how far [rad/s], [rad].
         follows: whether it follows a fresh command then.
@@ -244,8 +244,12 @@ def guilty(case: str, output: str, command: str) -> Guilty:
     found_at = run.now if found else np.inf
     run.run(max(begin + 5.0 - run.now, 0.0))
     commands = run.commands(begin)
-    moving = commands.times[np.abs(commands.velocities).max(axis=1) > _REST]
+    moves = np.abs(commands.velocities).max(axis=1) > _REST
+    moving = commands.times[moves]
     first = begin if late or not len(moving) else float(moving[0])
+    if output != VELOCITY:
+        moves[1:] |= np.abs(np.diff(commands.positions, axis=0)).max(axis=1) > _REST / _RATE
+        moving = commands.times[moves]
     rest = float(moving[-1]) - first if len(moving) else 0.0
     moved = float(np.abs(run.motion(begin).positions - at).max())
     run.manager.settings = Settings()

@@ -244,7 +244,7 @@ class Planner:
         self, q: Array, twist: Array, scene: Scene | Sequence[Obstacle], dt: float,
         ahead: Preview | TwistAhead | None = None,
         target: Target | TipTargets | None = None, *,
-        news: Sequence[Sighting] = (), gently: bool = False,
+        news: Sequence[Sighting] = (), gently: bool = False, carefully: bool = False,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`.
 
@@ -271,6 +271,8 @@ class Planner:
                 Where it is empty, one came if `target` is another than in the last step.
             gently: whether the arm is only to show that it follows: no joint is asked to be
                 faster than 0.05 rad/s or m/s.
+            carefully: whether the arm has not been seen to move yet: no joint is asked to be
+                faster than that, or than what it can stop from within 0.08 s.
 
         Raises:
             StateError: `q`, `twist`, `ahead`, `target` or `news` does not fit, or `dt` is not
@@ -301,7 +303,8 @@ class Planner:
         crowded = self._aiming.switch(aim, desired, around, self._watch)
         own = self._own_rows(aim.start)
         admitted = self._safeguard.admitted(
-            aim, desired, self._setup.value.rows, scene, around, last, own, gently=gently
+            aim, desired, self._setup.value.rows, scene, around, last, own, gently=gently,
+            carefully=carefully
         ) if self._filtered else Admitted.untouched(aim.mode.wanted(desired))
 
         # Remember: where the tip should be, and how fast the arm is.

@@ -42,6 +42,8 @@ _SLOWER_STAGES = (Stage.SCALED, Stage.SLIDING, Stage.BRAKING)
 _ON_PATH = (*_SLOWER_STAGES, Stage.STOPPED)
 # Fastest joint of an arm that moves gently [rad/s, m/s].
 _GENTLE = 0.05
+# The joints of an arm that moves carefully can stop within this time [s].
+_STOPS_WITHIN = 0.08
 
 
 class Admitted(NamedTuple):
@@ -98,7 +100,7 @@ class Safeguard:
 
     def admitted(
         self, aim: Aim, desired: Wish, rows: Rows, scene: Scene, around: Surroundings,
-        last: LastTick, own: OwnRows | None, *, gently: bool,
+        last: LastTick, own: OwnRows | None, *, gently: bool, carefully: bool,
     ) -> Admitted:
         """Return what may be commanded of what is wanted.
 
@@ -108,7 +110,7 @@ class Safeguard:
             scene, around: the obstacles, and those near the arm.
             last: what the tick before left.
             own: rows of the user's barriers; None without any.
-            gently: whether the arm is only to show that it follows.
+            gently, carefully: see `Planner.step`.
         """
         mode, start = aim.mode, aim.start
         wanted = mode.wanted(desired)
@@ -119,8 +121,10 @@ class Safeguard:
         share, slower = 1.0, ''
         if not mode.leaves:
             share, slower = self._slow_down.share(wanted, scene, start.arm)
-            if gently:
-                share = min(share, _GENTLE / max(float(np.abs(wanted).max()), _GENTLE))
+            if gently or carefully:
+                fastest = _GENTLE if gently else np.maximum(
+                    _GENTLE, _STOPS_WITHIN * self.limits.acceleration_max)
+                share = min(share, 1.0 / max(float((np.abs(wanted) / fastest).max()), 1.0))
         if mode.keeps_path and share == 1.0 and desired.admissible and (
                 own is None or self._keeps(wanted, own, start)):
             return Admitted.untouched(wanted)

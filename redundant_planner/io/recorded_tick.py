@@ -38,6 +38,7 @@ class TickKind(IntEnum):
     GOING_ON = 1
     STARTING = 2  # from rest, the planner reset
     TRYING = 3  # gently, after the arm did not follow
+    SETTING_OFF = 4  # carefully, until the arm is seen to move
 
 
 class RecordedTick(NamedTuple):

@@ -65,6 +65,11 @@ class ArmWatch:
         return self._following.travel
 
     @property
+    def sets_off(self) -> bool:
+        """Whether the arm is not yet seen to move, where anybody cares whether it follows."""
+        return self._following.tolerance > 0.0 and self._following.sets_off
+
+    @property
     def is_astray(self) -> bool:
         """Whether the arm does not follow, and is not trying to."""
         return bool(self._supervisor.astray) and not self._supervisor.tries

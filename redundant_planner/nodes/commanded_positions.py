@@ -68,7 +68,9 @@ class CommandedPositions:
             nearest: the link that is nearest to an obstacle; None without one.
         """
         if self._watch.is_astray:
-            positions = self._command.advance(dq, self._period, self._watch.anchor)
+            anchor = self._watch.anchor
+            positions = (self._command.advance(dq, self._period) if anchor is None
+                         else self._command.come_back(anchor, self._period))
             self._stands_still = self._before is not None and bool(
                 (positions == self._before).all())
             self._before = positions

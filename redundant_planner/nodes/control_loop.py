@@ -258,13 +258,16 @@ class ControlLoop:
         else:
             asked = self._asked(posture)
         self.state.trouble = ignore_command
-        gently = self.supervisor.tries and isinstance(self.planner, Planner)
-        if gently and kind is TickKind.GOING_ON:
-            kind = TickKind.TRYING
+        if kind is TickKind.GOING_ON and isinstance(self.planner, Planner):
+            if self.supervisor.tries:
+                kind = TickKind.TRYING
+            elif self._watch.sets_off:
+                kind = TickKind.SETTING_OFF
         self.obstacles.tracker.expire(self.now)
         result = self.planner.step(
             posture, asked.twist, self.obstacles.scene, self._period, asked.ahead, asked.target,
-            news=asked.news, gently=kind is TickKind.TRYING)
+            news=asked.news, gently=kind is TickKind.TRYING,
+            carefully=kind is TickKind.SETTING_OFF)
         if not np.isfinite(result.dq).all():
             raise ArithmeticError(f'the planner asked for the velocities {result.dq.tolist()}')
         self._send(result.dq, kind, asked)

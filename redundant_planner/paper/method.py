@@ -99,7 +99,7 @@ class PaperPlanner:
     def step(
         self, q: Array, twist: Array, scene: Scene, dt: float, ahead: TwistAhead | None = None,
         target: Target | TipTargets | None = None, *, news: Sequence[Sighting] = (),
-        gently: bool = False,
+        gently: bool = False, carefully: bool = False,
     ) -> StepResult:
         """Return the joint velocity for the next `dt`: q̇ = J⁺ẋ + k P∇H (Eq. 1).
 
@@ -107,7 +107,7 @@ class PaperPlanner:
             q, twist, scene, dt: as for `Planner.step`.
             ahead: not looked at.
             target: the paper has none; must be None.
-            news, gently: not looked at.
+            news, gently, carefully: not looked at.
 
         Raises:
             StateError: as for `Planner.step`.

@@ -199,7 +199,8 @@ class _Planned:
             RecordedTarget(tick.target, tick.goes_on, tick.news, tick.tips_go_on))
         dq: Array = planner.step(
             q, tick.twist, self._obstacles.scene, self._dt, _ahead(self._inputs, tick), target,
-            news=tick.news, gently=tick.kind == TickKind.TRYING).dq
+            news=tick.news, gently=tick.kind == TickKind.TRYING,
+            carefully=tick.kind == TickKind.SETTING_OFF).dq
         self._stop.moving(dq)
         return dq
 

@@ -60,6 +60,20 @@ def test_positions_keep_velocity_and_acceleration_whatever_the_arm_does(case, ou
     assert outcome.step <= 1.05 and outcome.acceleration <= 1.0 + 1e-6
 
 
+@pytest.mark.parametrize('active', [True, False])
+def test_an_arm_that_is_not_seen_to_move_is_no_faster_than_it_can_soon_stop_from(active):
+    """And one that is seen to move is as fast as its target asks for, the next time too."""
+    run, soon = behind(POSITION, settings=Settings(active=active)), 0.08 * PANDA.acceleration_max
+    for target in (READY + 0.5, READY):
+        run.go_to(target)
+        begin = run.now
+        run.run(2.0)
+        told = np.abs(run.commands(begin).velocities)
+        assert (told <= soon * (1.0 + 1e-6)).all() != active
+        assert active or run.error
+        run.run(1.0)
+
+
 def test_swapped_joints_are_named_before_they_are_far_off():
     joints = list(PANDA.joint_names)
     joints[1], joints[3] = joints[3], joints[1]

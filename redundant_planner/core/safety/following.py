@@ -57,8 +57,8 @@ _WHAT_PULLS_IT = 'is the load more than the drives can hold, or does something e
 
 # Rows of the state: what was lost and what is owed; what was moved without a command, and that
 # without forgetting; the measurement without its noise; the travel told within the dead time,
-# before it with the weights of the lag, and of late; and all that was told and done since the
-# beginning [rad, m].
+# before it with the weights of the lag, and of late; and all that was told and done since the arm
+# stood [rad, m].
 _LOST, _OWED, _BESIDE, _AWAY, _MEASURED, _WITHIN, _BEFORE, _RECENT, _TOLD, _DONE = range(10)
 
 
@@ -68,11 +68,12 @@ class Following:
     Attributes:
         tolerance: how far a joint may be behind besides [rad, m]; 0 for any distance.
         moves_alone: whether a joint of late has moved without a command.
+        sets_off: whether the arm has not been seen to move since it stood.
     """
 
     def __init__(self, joint_names: Sequence[str], dt: float, tolerance: float) -> None:
         """Prepare for n joints and ticks of dt [s]."""
-        self.tolerance, self.moves_alone = tolerance, False
+        self.tolerance, self.moves_alone, self.sets_off = tolerance, False, True
         self._names, self._dt = joint_names, dt
         self._state = np.zeros((10, len(joint_names)))
         self._travels = np.zeros((1, len(joint_names)))
@@ -87,7 +88,7 @@ class Following:
             lag, dead_time: of its drives, as far as they are known [s].
         """
         self._state[:] = 0.0
-        self._state[_MEASURED] = measured
+        self._state[_MEASURED], self.sets_off = measured, True
         self._lag = LAG + lag
         ticks = round((DEAD_TIME + dead_time) / self._dt) + 1
         self._travels, self._at = np.zeros((ticks, len(measured))), 0
@@ -139,9 +140,13 @@ class Following:
         """
         at, self._at = self._at, (self._at + 1) % len(self._travels)
         self._begins -= 1
-        stays, self.moves_alone = _watch(
+        stays, self.moves_alone, stands = _watch(
             self._state, self._travels[at], dq, measured, ages, self.tolerance, self._lag,
             self._dt)
+        if stands and not tries:
+            self._state[_TOLD:], self.sets_off = 0.0, True
+        elif self.sets_off:
+            self.sets_off = not self.has_followed
         leaps = self.moves_alone and self._begins > 0
         if tries and ages[self._told_most] <= 0.0:
             told, done = self._first_motion
@@ -204,8 +209,10 @@ def _of_what_is_left(moved: float, left: float) -> float:
 def _watch(
     state: OutMatrix, travels: OutVector, dq: Vector, measured: Vector, ages: Vector,
     tolerance: float, lag: float, dt: float,
-) -> tuple[bool, bool]:
-    """Bring the state up to date; return whether a joint does not follow, and if one moves alone.
+) -> tuple[bool, bool, bool]:
+    """Bring the state up to date.
+
+    Returns whether a joint does not follow, whether one moves alone, and whether all stand.
 
     Args:
         state: of `Following`.
@@ -216,7 +223,7 @@ def _watch(
     """
     kept, kept_moves = 1.0 - dt / (dt + _FORGETTING), 1.0 - dt / (dt + _FORGETTING_MOVES)
     kept_before = 1.0 - dt / (dt + lag)
-    late, stands, moves = False, -1, -1
+    late, stays, moves, stands = False, -1, -1, True
     for i in range(len(dq)):
         told = dq[i] * dt
         state[_WITHIN, i] = max(state[_WITHIN, i] + abs(told) - travels[i], 0.0)
@@ -245,8 +252,9 @@ def _watch(
         if ages[i] <= 0.0 and told * state[_LOST, i] > 0.0:
             late = late or behind > tolerance + late_by
             if behind > tolerance + 0.5 * late_by:
-                stands = i
+                stays = i
         # An arm that comes to rest late coasts by no more than it was told of late.
         if abs(state[_BESIDE, i]) > tolerance + state[_RECENT, i]:
             moves = i
-    return late or (stands >= 0 and moves >= 0 and stands != moves), moves >= 0
+        stands = stands and late_by < _NOISE
+    return late or (stays >= 0 and moves >= 0 and stays != moves), moves >= 0, stands

@@ -59,14 +59,28 @@ class PositionCommand:
             dt: [s].
             planned: (n,) where the arm will be by the commands, this one included [rad, m]; None
                 if that is not known: the velocities alone count.
-            lead: (n,) how far from there positions may be [rad, m]; none if left out.
+            lead: (n,) how far from there positions may be [rad, m].
         """
+        if planned is None or lead is None:
+            planned, lead = self._no_lead, self._no_lead + np.inf
+        # The command may take the other half of the acceleration.
+        return self._advanced(dq, dt, planned, lead, share=0.5)
+
+    def come_back(self, posture: Array, dt: float) -> Array:
+        """Return the positions (n,) to command on the fastest way to a posture (n,) [rad, m].
+
+        Args:
+            posture: (n,) where nothing moves [rad, m].
+            dt: [s].
+        """
+        return self._advanced(self._no_lead, dt, posture, self._no_lead, share=1.0)
+
+    def _advanced(
+        self, dq: Array, dt: float, planned: Array, lead: Array, *, share: float,
+    ) -> Array:
         assert self._q is not None, 'it starts from a posture'
-        if planned is None:
-            planned, lead = self._q, self._no_lead + np.inf
         before, self._q, self._dq = self._q, self._q.copy(), self._dq.copy()
-        _advance(self._q, self._dq, before, dq, planned,
-                 self._no_lead if lead is None else lead, self._limits, dt)
+        _advance(self._q, self._dq, before, dq, planned, lead, self._limits, dt, share)
         return self._q.copy()
 
 
@@ -83,9 +97,12 @@ def _stoppable(distance: float, acceleration: float, dt: float) -> float:
 @compiled
 def _advance(
     q: OutVector, speed: OutVector, before: Vector, dq: Vector, planned: Vector, lead: Vector,
-    limits: Limits, dt: float,
+    limits: Limits, dt: float, share: float,
 ) -> None:
-    """Write the next positions (n,) and their velocities, which were those of the last tick."""
+    """Write the next positions (n,) and their velocities, which were those of the last tick.
+
+    They come back to where they may be with a share of the acceleration.
+    """
     for i in range(len(q)):
         most = limits.acceleration_max[i]
         # An arm found outside its range is not pulled: only its velocity command moves it.
@@ -97,8 +114,7 @@ def _advance(
         to = min(max(to, low), high)
         wanted = dq[i]
         if to != goes:
-            # With half of the acceleration, as the command may take the other half.
-            back = _stoppable(abs(to - goes), 0.5 * most, dt)
+            back = _stoppable(abs(to - goes), share * most, dt)
             wanted += back if to > goes else -back
         wanted = min(max(wanted, speed[i] - most * dt), speed[i] + most * dt)
         wanted = min(max(wanted, -limits.velocity_max[i]), limits.velocity_max[i])

@@ -199,3 +199,22 @@ def test_a_first_small_motion_shows_that_it_follows():
             following.tick(dq, arm.move(dq), NEW)
             seen = seen or following.has_followed
         assert seen is follows
+
+
+@pytest.mark.parametrize('late', [{}, {'lag': 0.08, 'dead_time': 0.04}, {'noise': 5e-4}], ids=str)
+def test_an_arm_sets_off_until_it_is_seen_to_move_and_again_after_a_rest(late):
+    arm, following = Arm(**late), Following(NAMES, DT, 0.02)
+    following.begin(arm.shown)
+
+    def soon(dq, seconds):
+        """Return how long it sets off within a time [s]."""
+        seen = []
+        for _ in range(round(seconds / DT)):
+            following.tick(dq, arm.move(dq), NEW)
+            seen.append(following.sets_off)
+        assert not any(np.diff(np.array(seen, int)) > 0) or not dq.any()
+        return DT * sum(seen)
+
+    for _ in range(2):
+        assert 0.01 < soon(np.array([0.3, 0.1, 0.0]), 1.0) < 0.05 + LAG + DEAD_TIME
+        assert 0.1 < soon(np.zeros(3), 1.0) < 0.6

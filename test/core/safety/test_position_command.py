@@ -145,6 +145,24 @@ def test_steps_keep_velocity_and_acceleration_whatever_the_planned_posture_does(
         np.abs(planned) > 1.0).any()
 
 
+@pytest.mark.parametrize('speed', [1.0, 0.3, 0.0])
+def test_it_comes_back_as_fast_as_the_limits_allow(speed):
+    """It brakes for v/a, and the way back takes v_max/a and the rest of it at v_max, or less."""
+    command, most = started([0.0, 0.0]), 10.0
+    q = np.zeros(N)
+    for i in range(100):
+        q = command.advance(np.full(N, min(speed, most * DT * (i + 1))), DT)
+    far = q[0] + speed**2 / (2.0 * most)
+    back = min(2.0 * np.sqrt(far / most), far / 2.0 + 2.0 / most)
+    before, last = q, np.full(N, speed)
+    # As each of its parts takes whole ticks, it is late by a few of them.
+    for _ in range(round((speed / most + back) / DT) + 5):
+        before, q = q, command.come_back(np.zeros(N), DT)
+        assert (np.abs((q - before) / DT - last) <= most * DT * (1.0 + 1e-6)).all()
+        last = (q - before) / DT
+    assert command.is_at(np.zeros(N)) and not last.any()
+
+
 @pytest.mark.parametrize(('step', 'jumped'), [(0.05, False), (0.29, False), (0.31, True)])
 def test_a_jump_is_more_than_the_arm_can_travel(step, jumped):
     after = np.array([0.0, -step])
