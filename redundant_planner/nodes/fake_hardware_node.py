@@ -26,6 +26,8 @@ from redundant_planner.nodes.ros_parameters import declare, refuse_unknown_param
 
 Array = npt.NDArray[np.float64]
 
+# What it says as the first command comes.
+HEARS_COMMANDS = 'hears joint_command'
 # How long a base goes on without a command [s].
 _BASE_TIMEOUT = 0.2
 
@@ -55,6 +57,7 @@ class FakeHardwareNode(EndableNode):
         self._random = np.random.default_rng(0)
         self._lag, self._wraps = settings.lag, settings.wrap_continuous
         self._delayed: deque[tuple[float, Array]] = deque()
+        self._hears = False  # whether a command has come
 
         self._publisher = self.create_publisher(JointState, 'joint_states', 10)
         # A base says where it is by odom, and has a driver of its own.
@@ -84,6 +87,9 @@ class FakeHardwareNode(EndableNode):
                 'initial_positions) into the parameter file')
 
     def _on_command(self, message: JointState) -> None:
+        if not self._hears:
+            self._hears = True
+            self.get_logger().info(HEARS_COMMANDS)
         ranges = self._arm.ranges
         try:
             known = [name for name in ranges.names if name in message.name]

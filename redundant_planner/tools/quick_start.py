@@ -29,6 +29,7 @@ from std_msgs.msg import String
 from redundant_planner.core.errors import known, PlannerError
 from redundant_planner.io.xacro_files import expanded
 from redundant_planner.nodes.child_processes import LiveError, Processes
+from redundant_planner.nodes.fake_hardware_node import HEARS_COMMANDS
 from redundant_planner.nodes.runtime import (
     best_executor,
     keep_off_shared_memory,
@@ -210,17 +211,24 @@ def _called_here(command: str) -> list[str]:
 
 
 class Nodes(Processes):
-    """The arm and the planner as processes, whose lines go to the terminal."""
+    """The arm and the planner as processes, whose lines go to the terminal.
+
+    Attributes:
+        arm_hears: whether the arm has said that it hears the planner: the planner may find it
+            some seconds before.
+    """
 
     def __init__(self, domain: int) -> None:
         """Prepare for processes on a ROS domain."""
         super().__init__(domain, self._pass_on)
         self._said: dict[str, deque[str]] = {}
+        self.arm_hears = False
         if sys.stderr.isatty():
             self.environment['RCUTILS_COLORIZED_OUTPUT'] = '1'
 
     def _pass_on(self, name: str, line: str) -> None:
         self._said.setdefault(name, deque(maxlen=_LAST_LINES)).append(line)
+        self.arm_hears = self.arm_hears or (name == ARM and HEARS_COMMANDS in line)
         print(line, file=sys.stderr, flush=True)
 
     def check(self) -> None:
@@ -256,12 +264,13 @@ def _run(
         LiveError: one of them ended, or the planner is not ready in time.
         KeyboardInterrupt: as soon as the planner has stopped the arm.
     """
-    with kind(domain) as nodes:
+    nodes = kind(domain)
+    with nodes:
         # It loads for some seconds, and commands nothing before there is an arm.
         planner = nodes.start(_PLANNER, [file], name=_PLANNER)
         try:
             deadline, is_started = time.monotonic() + _START_PATIENCE, False
-            while not (is_started and station.ready):
+            while not (is_started and station.ready and nodes.arm_hears):
                 nodes.check()
                 if time.monotonic() > deadline:
                     raise LiveError(f'{_PLANNER} did not get ready within {_START_PATIENCE:g} s')

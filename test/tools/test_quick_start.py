@@ -22,7 +22,8 @@ from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.robot_files import build_robot, load_robot
 from redundant_planner.nodes.child_processes import LiveError
-from redundant_planner.tools.quick_start import main, next_steps, Nodes, prepared
+from redundant_planner.nodes.fake_hardware_node import HEARS_COMMANDS
+from redundant_planner.tools.quick_start import ARM, main, next_steps, Nodes, prepared
 from redundant_planner.tools.show_robot import described_by_urdf
 
 # The end of all processes takes no longer, on a busy machine too [s].
@@ -129,6 +130,20 @@ def test_a_node_that_ends_is_named_with_what_it_said_last(tmp_path, capfd):
                 r'^planner_node ended with exit status 2; it said last:\n  parameter is wrong$')):
             nodes.check()
     assert 'parameter is wrong' in capfd.readouterr().err
+
+
+@pytest.mark.parametrize('name, hears', [(ARM, True), ('planner_node', False)])
+def test_it_is_known_whether_the_arm_hears_the_planner(tmp_path, name, hears):
+    """The planner commands an arm that it has found, which may not have found the planner."""
+    script = tmp_path / 'node.py'
+    script.write_text(f"print('[INFO] [fake_hardware_node]: {HEARS_COMMANDS}')")
+    with Nodes(0) as nodes:
+        assert not nodes.arm_hears
+        nodes.start(script, name=name).wait(PATIENCE)
+        deadline = time.monotonic() + (PATIENCE if hears else 0.2)
+        while not nodes.arm_hears and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert nodes.arm_hears == hears
 
 
 def options_for(folder, *, tip='', base='', urdf=PANDA_URDF, overwrite=False):
