@@ -29,7 +29,8 @@ from benchmark.problem_sets.families import FAMILIES
 from benchmark.problem_sets.generated import generate, posture_at
 from benchmark.problem_sets.moveit_files import find_files, ProblemFileError, read_problem
 from benchmark.problem_sets.problem import fault_of, Problem, settled, tip_pose
-from benchmark.problem_sets.servo import servo, servo_twist
+from benchmark.problem_sets.servo import planner_step, servo, servo_twist
+from benchmark.robots import make_robot
 
 MARGINS = PlannerParameters()
 JOINTS = [f'panda_joint{i}' for i in range(1, 8)]
@@ -272,6 +273,15 @@ def test_a_short_run_of_a_made_family_hits_nothing(tmp_path, capsys):
     assert len(entry['stopped']) == round(2 * (1 - entry['reached']))
     assert set(entry['by_family']) == {'box'}
     assert 'dynamic_factor' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(('family', 'number'), [('walls', 16), ('cage', 36)])
+def test_ways_out_of_corners_are_found(family, number):
+    """From these starts nearly all motions of half a radian are blocked."""
+    robot = make_robot('panda', 6)
+    problem = generate(robot, 0, family, number)
+    step = planner_step(robot, PlannerParameters(clearance_margin=0.01), problem, to_target=True)
+    assert servo(robot, problem, step, to_target=True).reached
 
 
 def test_the_fastest_motion_along_a_line_is_bang_bang():

@@ -42,7 +42,7 @@ class CurveSearch:
 
     def __init__(
         self, space: FreeSpace, start: Array, target: Goal | Poses, scaling: Array, *,
-        gives_way: bool,
+        gives_way: bool, seed: int = 0,
     ) -> None:
         """Begin.
 
@@ -51,11 +51,11 @@ class CurveSearch:
             start: (n,) where the way begins.
             target: where it ends.
             scaling: (n,) see `PathJoints`.
-            gives_way: see `PathSearch`.
+            gives_way, seed: see `PathSearch`.
         """
         self.space = space
         self.found: Array | None = None
-        self.search = PathSearch(space, start, target, gives_way=gives_way)
+        self.search = PathSearch(space, start, target, gives_way=gives_way, seed=seed)
         self._scaling, self._any_way = scaling, False
         self._polygon = np.empty((0, len(start)))  # corners of the curve found last
         self._work = self._curves()

@@ -139,6 +139,7 @@ class FreeWay:
         self._improves = False
         self._space: FreeSpace | None = None
         self._age = 0.0  # of the thought [s]
+        self._searches = 0  # for this target: what the filter stops once is not to come again
         self.tried_line = False
         self._aside: float | None = None  # for how long it has been aside [s]
         self._look_age = 0.0
@@ -257,7 +258,9 @@ class FreeWay:
         assert self._target is not None
         self._space, self._look_age = space, 0.0
         self._finder = CurveSearch(
-            space, self._stop, self._target, self._scaling, gives_way=self._gives_way)
+            space, self._stop, self._target, self._scaling, gives_way=self._gives_way,
+            seed=self._searches)
+        self._searches += 1
 
     def _work(self, dt: float) -> int:
         """How much a tick may think, in distances."""

@@ -2,12 +2,13 @@
 
 Trees grow from both ends towards random postures and each other (RRT-Connect, Kuffner and LaValle
 2000). What they find is shortened by straight motions between random points of it, and to other
-ends. The random numbers are always the same, and so is the result.
+ends, and pulled tight. With the same seed the random numbers are the same, and so is the result.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
+from itertools import pairwise
 import math
 
 import numpy as np
@@ -22,6 +23,8 @@ from redundant_planner.core.target.goal_postures import goal_postures, only_post
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
 from redundant_planner.core.target.straight_motion import Motion, new_motion
 from redundant_planner.core.target.tree_growth import (
+    add_goals,
+    cut_off,
     grow,
     GROWING,
     MET,
@@ -56,13 +59,14 @@ _AS_GOOD = 1.05
 # Longest branch that is tried at once [rad, joint weights included]: anywhere, where the way may
 # have little room, and where the tip stays in a cone.
 _BRANCH, _BRANCH_IN_GAPS, _BRANCH_IN_CONE = 0.8, 0.5, 0.2
-# Where the way may have little room, every other random posture is about so near to a goal [rad,
-# m]: what is narrow are the places from which a goal is reached.
-_NEAR_GOALS = 0.4
+# Every other random posture is about so near to one of a tree's [rad, m]: what is narrow are the
+# places from which an end is reached, and few motions towards anywhere lead out of there.
+_NEAR_TREES = 0.9
 # Random postures that trees grow towards, drawn at once, and what trees cost, in distances.
 _AIMS, _COST_OF_TREES = 256, 3000
-# Nodes after which both trees are given up: at first, and at last.
-_FEWEST_NODES, _MOST_NODES = 500, 4000
+# Nodes of both trees together after which they are given up, and the work at them in one attempt,
+# in distances: then those with other room have their turn.
+_MOST_NODES, _WORK = 10_000, 1_000_000
 # Attempts at a shortcut and how many in vain end them, of any way and of one that may become the
 # best: one that costs less than this factor of it by then.
 _ROUGHLY, _THOROUGHLY, _PROMISES = (60, 20), (300, 60), 1.1
@@ -85,6 +89,7 @@ class PathSearch:
 
     def __init__(
         self, space: FreeSpace, start: Array, target: Goal | Poses, *, gives_way: bool,
+        seed: int = 0,
     ) -> None:
         """Prepare.
 
@@ -93,6 +98,7 @@ class PathSearch:
             start: (n,) where the way begins.
             target: where it ends.
             gives_way: whether it looks around for `step_aside` while there is no goal.
+            seed: of its random numbers.
         """
         self.way: Way | None = None
         self.room = self._price = np.inf
@@ -102,7 +108,7 @@ class PathSearch:
         self._space, self._start, self._gives_way = space, space.begin_at(start), gives_way
         self._goals: list[Place] = []
         self._tightest: Array | None = None  # room (k,) of the goal that is nearly free
-        self._random = np.random.default_rng(0)
+        self._random = np.random.default_rng(seed)
         self._postures = (
             only_posture(space, start, target) if isinstance(target, np.ndarray) else
             goal_postures(space, start, stacked(target), self._random))
@@ -110,22 +116,24 @@ class PathSearch:
         self._ranges = space.joint_ranges(start)
         self._memory: Motion | None = None
         self._blocked: set[tuple[float, int]] = set()  # straight motions to goals, by room
+        # Trees that have not met, by room, and how many goals they have.
+        self._unmet: dict[float, tuple[Trees, int]] = {}
 
     def work(self) -> Generator[None, None, None]:
         """Search, and pause after each piece of work."""
         attempt = 0
+        self._unmet.clear()
         if self.way is not None:
             yield from self._improved(self.way, self.room)
             self.rounds += 1
         while True:
             yield from self._guess()
             room = _ROOMS[attempt % len(_ROOMS)]
-            most_nodes = min(_FEWEST_NODES * (1 + attempt), _MOST_NODES)
             attempt += 1
             if not self._goals or (self._start.room < -_INSIDE).any():
                 yield from self._explore()
                 continue
-            way = yield from self._connected(room, most_nodes)
+            way = yield from self._connected(room)
             if way is not None:
                 way = yield from self._cut_short(way, room, *_ROUGHLY)
                 way = yield from self._tight(way, room)
@@ -212,7 +220,7 @@ class PathSearch:
             return
         if self._trees is None:
             start = _stacked([self._start])
-            self._trees = new_trees(_FEWEST_NODES, start, (start[0][:0], start[1][:0]))
+            self._trees = new_trees(_MOST_NODES, start, (start[0][:0], start[1][:0]))
         yield from self._grow(self._trees, _LOOKS_AROUND, _ROOMS[-1])
 
     def _price_of(self, way: Way, room: float) -> float:
@@ -232,10 +240,8 @@ class PathSearch:
             self.straight = len(way) == 2 and bool(self.length(way) <= _AS_GOOD * nearest)
             self.way, self.aside = way, False
 
-    def _connected(
-        self, room: float, most_nodes: int,
-    ) -> Generator[None, None, Way | None]:
-        """Return a way with some room to any goal, None where the trees have grown too large."""
+    def _connected(self, room: float) -> Generator[None, None, Way | None]:
+        """Return a way with some room to any goal, None where trees have not met so far."""
         space, start, goals = self._space, self._start, self._goals
         needed = space.asked(room)
         for i in np.argsort([float(space.distance(start.q, goal.q)) for goal in goals]):
@@ -245,31 +251,49 @@ class PathSearch:
             if (yield from space.is_free_between(start, goals[i], needed)):
                 return [start, goals[i]]
             self._blocked.add((room, int(i)))
-        self._trees = new_trees(most_nodes, _stacked([start]), _stacked(goals))
-        space.spend(_COST_OF_TREES)
-        yield
-        met = False
-        while not met:
-            ended = yield from self._grow(self._trees, _AIMS, room)
+        trees, rooted = self._unmet.pop(room, (None, 0))
+        if trees is None:
+            trees = new_trees(_MOST_NODES, _stacked([start]), _stacked(goals))
+            space.spend(_COST_OF_TREES)
+            yield
+        elif rooted < len(goals):
+            add_goals(trees, *_stacked(goals[rooted:]))
+        self._trees, until = trees, space.spent + _WORK
+        while space.spent < until:
+            ended = yield from self._grow(trees, _AIMS, room)
             if ended == TOO_LARGE:
                 return None
-            met = ended == MET
-        way = _places(*way_between(self._trees))
-        return way if (yield from space.keeps_rules(way)) else None
+            if ended == MET:
+                way = _places(*way_between(trees))
+                broken = yield from self._rule_broken(way)
+                if broken is None:
+                    return way
+                cut_off(trees, broken)
+        self._unmet[room] = trees, len(goals)
+        return None
+
+    def _rule_broken(self, way: Way) -> Generator[None, None, int | None]:
+        """Return the first motion of a way that does not keep the user's barriers, if any."""
+        for i, motion in enumerate(pairwise(way)):
+            if not (yield from self._space.keeps_rules(motion)):
+                return i
+        return None
 
     def _grow(self, trees: Trees, aims: int, room: float) -> Generator[None, None, int]:
         """Grow trees towards so many random postures with some room; return how that ended."""
         space, (low, high) = self._space, self._ranges
         towards = self._random.uniform(low, high, (aims, len(low)))
-        in_gaps = room != _ROOMS[0]
-        if self._goals and in_gaps:
-            near = self._random.integers(len(self._goals), size=len(towards[::2]))
-            towards[::2] = np.clip(self._random.normal(
-                np.array([self._goals[i].q for i in near]), _NEAR_GOALS), low, high)
+        counts = trees.numbers[:2]
+        if counts.all():
+            tree = np.arange(len(towards[::2])) % 2
+            node = (self._random.random(len(tree)) * counts[tree]).astype(np.intp)
+            near = np.minimum(_NEAR_TREES, 0.5 * (high - low))
+            towards[::2] = np.clip(
+                self._random.normal(trees.postures[tree, node], near), low, high)
         trees.numbers[USED] = 0
         motion, needed = self._motion(), space.asked(room)
         longest = (_BRANCH_IN_CONE if space.narrow else
-                   _BRANCH_IN_GAPS if in_gaps else _BRANCH)
+                   _BRANCH if room == _ROOMS[0] else _BRANCH_IN_GAPS)
         while True:
             ended, looked = grow(
                 trees, motion, towards, needed, space.joints.scaling, longest,

@@ -1,6 +1,7 @@
 """Two trees of postures that grow towards random ones and each other (RRT-Connect).
 
-Kuffner and LaValle 2000.
+Kuffner and LaValle 2000. The smaller tree grows first, as one in a corner would else keep a few
+postures while the other one fills its space.
 """
 
 from __future__ import annotations
@@ -38,8 +39,6 @@ from redundant_planner.core.target.straight_motion import (
 
 Array = npt.NDArray[np.float64]
 
-# The shortest branches, as a share of the longest.
-_SHORTEST = 1.0
 # Looking for the nearest of so many postures costs as much as looking at one.
 _NEAREST_AT_ONCE = 300
 # Steps that lead a posture into the tip's cone, to this share of its angle inside.
@@ -93,14 +92,55 @@ def new_trees(most: int, starts: tuple[Array, Array], goals: tuple[Array, Array]
     return trees
 
 
+def add_goals(trees: Trees, postures: Array, rooms: Array) -> None:
+    """Add goals (r, n) with room (r, k) to the second tree, as far as there is room for nodes."""
+    first = int(trees.numbers[_OTHER_COUNT])
+    last = min(first + len(postures), trees.postures.shape[1])
+    trees.postures[1, first:last] = postures[:last - first]
+    trees.rooms[1, first:last] = rooms[:last - first]
+    trees.parents[1, first:last] = -1
+    trees.numbers[_OTHER_COUNT] = last
+
+
 def way_between(trees: Trees) -> tuple[Array, Array]:
     """Return postures (w, n) and rooms (w, k) from start to goal where the trees have met."""
+    forth, back = _branches(trees)
+    return (np.concatenate((trees.postures[0, forth], trees.postures[1, back[1:]])),
+            np.concatenate((trees.rooms[0, forth], trees.rooms[1, back[1:]])))
+
+
+def cut_off(trees: Trees, edge: int) -> None:
+    """Cut an edge of the way between trees that have met, and what hangs on it, off its tree."""
+    forth, back = _branches(trees)
+    if edge + 1 < len(forth):
+        tree, node = 0, forth[edge + 1]
+    else:
+        tree, node = 1, back[edge + 1 - len(forth)]
+    count = int(trees.numbers[tree])
+    parents = trees.parents[tree, :count].copy()
+    gone, known = np.arange(count) == node, 0
+    while known < gone.sum():
+        known = gone.sum()
+        gone |= (parents >= 0) & gone[parents]
+    kept = np.flatnonzero(~gone)
+    for values in (trees.postures[tree], trees.rooms[tree]):
+        values[:len(kept)] = values[kept]
+    moved = np.cumsum(~gone) - 1
+    trees.parents[tree, :len(kept)] = np.where(
+        parents[kept] >= 0, moved[parents[kept]], parents[kept])
+    trees.numbers[tree] = len(kept)
+    trees.numbers[_CONNECTS] = trees.numbers[_LOOKS] = 0
+
+
+def _branches(trees: Trees) -> tuple[list[int], list[int]]:
+    """Return the numbers of the postures from the start on, and on to a goal, in either tree.
+
+    The last of the first tree is the first of the other one, where they have met.
+    """
     numbers = trees.numbers
-    tree, count = numbers[_TREE], (numbers[_COUNT], numbers[_OTHER_COUNT])
-    ends = {int(tree): int(numbers[_AIM]), 1 - int(tree): int(count[1 - tree]) - 1}
-    forth, back = to_root(trees, 0, ends[0])[::-1], to_root(trees, 1, ends[1])[1:]
-    return (np.concatenate((trees.postures[0, forth], trees.postures[1, back])),
-            np.concatenate((trees.rooms[0, forth], trees.rooms[1, back])))
+    tree = int(numbers[_TREE])
+    ends = {tree: int(numbers[_AIM]), 1 - tree: int(numbers[1 - tree]) - 1}
+    return to_root(trees, 0, ends[0])[::-1], to_root(trees, 1, ends[1])
 
 
 def to_root(trees: Trees, tree: int, index: int) -> list[int]:
@@ -185,6 +225,12 @@ def _add_branch(trees: Trees, tree: int) -> None:
     numbers[tree] = at + 1
 
 
+@kernel
+def _smaller_tree(numbers: Indices) -> int:
+    """Return which tree is to grow."""
+    return 0 if numbers[_COUNT] <= numbers[_OTHER_COUNT] else 1
+
+
 @entry
 def grow(
     trees: Trees, motion: Motion, aims: Matrix, needed: Vector, scaling: Vector, longest: float,
@@ -242,10 +288,10 @@ def grow(
             if free and numbers[_ARRIVES] == 1:
                 return MET, looked
             if not free or numbers[tree] >= room_for:
-                numbers[_CONNECTS], numbers[_TREE] = 0, 1 - numbers[_TREE]
+                numbers[_CONNECTS], numbers[_TREE] = 0, _smaller_tree(numbers)
         elif not alone:
             if free:
                 numbers[_CONNECTS], numbers[_AIM] = 1, numbers[tree] - 1
             else:
-                numbers[_TREE] = 1 - numbers[_TREE]
+                numbers[_TREE] = _smaller_tree(numbers)
     return GROWING, looked

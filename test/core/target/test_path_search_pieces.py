@@ -22,7 +22,15 @@ from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.joint_way import JointWay
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
 from redundant_planner.core.target.straight_motion import new_motion
-from redundant_planner.core.target.tree_growth import grow, MET, new_trees, way_between
+from redundant_planner.core.target.tree_growth import (
+    add_goals,
+    cut_off,
+    grow,
+    MET,
+    new_trees,
+    to_root,
+    way_between,
+)
 
 PANDA = make_panda()
 SEEDS = st.integers(0, 2**32 - 1)
@@ -79,6 +87,37 @@ def test_trees_that_met_have_a_free_way_from_the_start_to_a_goal(seed):
     for one, other in pairwise(postures):
         assert np.linalg.norm((other - one) / space.joints.scaling) <= 0.8 + 1e-9
         assert dense_room(space, one, other) > 0.0
+
+
+@settings(max_examples=examples(15), deadline=None)
+@given(SEEDS)
+def test_an_edge_is_cut_off_with_all_that_hangs_on_it_and_trees_grow_on(seed):
+    random = np.random.default_rng(seed)
+    space = space_among(crowd(random))
+    start, *goals = free_places(space, random, 4)
+    trees, ended, _ = grown(space, start, goals[:2], seed)
+    if ended != MET:
+        return
+    way, before = way_between(trees)[0], [
+        {tuple(q) for q in trees.postures[tree, :trees.numbers[tree]]} for tree in range(2)]
+    edge = int(random.integers(len(way) - 1))
+    cut_off(trees, edge)
+    add_goals(trees, np.array([goals[2].q]), np.array([goals[2].room]))
+    after = [trees.postures[tree, :trees.numbers[tree]] for tree in range(2)]
+    kept = [{tuple(q) for q in postures} for postures in after]
+    assert kept[0] <= before[0] and kept[1] - before[1] <= {tuple(goals[2].q)}
+    assert sum(map(len, after)) < sum(map(len, before)) + 1
+    for tree, roots in enumerate(([start], goals)):
+        for i in range(len(after[tree])):
+            root = to_root(trees, tree, i)[-1]
+            assert any((after[tree][root] == place.q).all() for place in roots)
+            parent = int(trees.parents[tree, i])
+            assert parent < i
+            if parent >= 0:
+                assert not all((one == other).all() for one, other in zip(
+                    (after[tree][parent], after[tree][i]),
+                    way[edge:edge + 2] if tree == 0 else way[edge:edge + 2][::-1]))
+                assert np.linalg.norm(after[tree][i] - after[tree][parent]) <= 0.8 + 1e-9
 
 
 def test_trees_grow_alike_in_small_pieces_and_large_ones():
@@ -153,8 +192,9 @@ def test_a_way_is_followed_within_the_limits_and_ends_at_rest(seed, corners, spe
 
 def test_a_better_rest_is_taken_up_in_motion_without_a_jump():
     """The arm sets off within a tenth of a second, and still goes a short way."""
-    scene = Scene.of([WALL, Obstacle.box('shelf', (0.45, 0.0, 0.65), (0.3, 0.5, 0.02))])
-    run, target = Run(start=LEFT), tip(ROBOT, RIGHT)
+    scene = Scene.of([WALL, Obstacle.box('shelf', (0.45, 0.0, 0.75), (0.3, 0.5, 0.02)),
+                      Obstacle.box('back', (-0.3, 0.0, 0.5), (0.2, 1.0, 1.0))])
+    run, target = Run(start=LEFT, target_effort=0.1), tip(ROBOT, RIGHT)
     curves = []
 
     def watched(_):
