@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+import gc
 from pathlib import Path
 from typing import NamedTuple
 
@@ -81,6 +82,8 @@ class Worker:
             raise SystemExit('no Panda URDF: pip install example-robot-data')
         self.task, self.robot = task, make_robot('panda', 6)
         self.judge = Judge(self.robot, urdf)
+        gc.collect()
+        gc.freeze()  # as the node does
 
     def problem(self, job: Job) -> Problem:
         """Read a problem, or make it.

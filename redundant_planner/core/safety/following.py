@@ -57,8 +57,8 @@ _WHAT_PULLS_IT = 'is the load more than the drives can hold, or does something e
 
 # Rows of the state: what was lost and what is owed; what was moved without a command, and that
 # without forgetting; the measurement without its noise; the travel told within the dead time,
-# before it with the weights of the lag, and of late; and all that was told and done since the arm
-# stood [rad, m].
+# before it with the weights of the lag, and of late; and all that was told and done since it
+# began, or the arm stood [rad, m].
 _LOST, _OWED, _BESIDE, _AWAY, _MEASURED, _WITHIN, _BEFORE, _RECENT, _TOLD, _DONE = range(10)
 
 

@@ -59,7 +59,7 @@ class PositionCommand:
             dt: [s].
             planned: (n,) where the arm will be by the commands, this one included [rad, m]; None
                 if that is not known: the velocities alone count.
-            lead: (n,) how far from there positions may be [rad, m].
+            lead: (n,) how far from there positions may be [rad, m]; None without `planned`.
         """
         if planned is None or lead is None:
             planned, lead = self._no_lead, self._no_lead + np.inf

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal import Goal
-from redundant_planner.core.target.joint_curve import JointCurve, resampled
+from redundant_planner.core.target.joint_curve import JointCurve, lengths_along, resampled
 from redundant_planner.core.target.path_search import PathSearch
 
 Array = npt.NDArray[np.float64]
@@ -81,8 +81,7 @@ class CurveSearch:
                 rest.
             share: of the curve's polygon that comes before that.
         """
-        steps = np.diff(self._polygon, axis=0) / self._scaling
-        along = np.concatenate((np.zeros(1), np.cumsum(np.linalg.norm(steps, axis=1))))
+        along = lengths_along(self._polygon, self._scaling)
         rest = self._polygon[along > share * along[-1] + _SAME]
         self.found = None
         self.search.go_on_from(np.vstack((before[-1:], rest)))

@@ -5,8 +5,9 @@ Nodes q_1 … q_N between two ends that stay where they are minimise
     ½ (N + 1) Σ ‖q_{i+1} − q_i‖² + ½ p (N + 1) Σ max(0, asked_i − room(q_i))²
 
 with joint weights: nodes spread evenly, and the first sum is half the squared length then. Room
-is what every link, pair of links and cone has near a node. A step solves that with rooms
-linearised about the nodes: those that act are found by solving it again until they stay the same.
+is that of every link, pair of links and cone near a node. A step solves that with rooms linearised
+about the nodes. Which of them act is found by solving it again until they stay the same, a few
+times at most.
 Straight motions from node to node are looked at in the end, and where one is not free its nodes
 are asked for more room. Shortcuts only ever lead through the inside of a way; a band also slides
 along what is in its way.
@@ -44,7 +45,7 @@ from redundant_planner.core.obstacles.self_collision import distance_gradients
 from redundant_planner.core.robot.cone import cone_room
 from redundant_planner.core.robot.kinematics import Chain, Links
 from redundant_planner.core.target.free_space import FreeSpace, Place
-from redundant_planner.core.target.joint_curve import evenly
+from redundant_planner.core.target.joint_curve import evenly, lengths_along
 from redundant_planner.core.target.straight_motion import (
     Around,
     begin_motion,
@@ -59,24 +60,26 @@ from redundant_planner.core.target.straight_motion import (
 
 Array = npt.NDArray[np.float64]
 
-# Distance of nodes [rad], and half of the most pieces between them.
-_SPACING, _MOST_PIECES = 0.12, 20
-# What a lack of room counts beside the length, squared [rad²/m²]; and what is asked besides, as
-# motions from node to node are not as straight as the links' ways [m].
-_PRICE, _RESERVE = 1e3, 2e-3
-# Room to what is further away than this, beyond what is asked, cannot be used up in a step [m].
+# Distance of nodes [rad], and how many pieces they divide a way into at most.
+_SPACING, _MOST_PIECES = 0.12, 40
+# The square of a lack of room counts so much beside the square of the length [rad²/m²].
+_PRICE = 1e3
+# Nodes are asked for so much more room than motions: in between, links move in arcs [m].
+_RESERVE = 2e-3
+# A step leaves out what has this much more room than is asked; the next one looks again [m].
 _WITHIN = 0.1
 # Rows of a node, the least room first.
 _MOST_ROWS = 32
-# Keeps the matrix positive definite, and how far a step moves a joint of a node [rad, m].
-_DAMPING, _LARGEST_STEP = 1e-3, 0.2
-# Steps at the most, of every other node and then of all, how often each solves its problem, and
-# steps shorter than this are the last ones [rad, m].
-_STEPS, _STEPS_AGAIN, _SOLUTIONS, _SETTLED = 6, 4, 6, 0.05
+# How far a step moves a joint of a node at most. It is the last one if it moves none by the other
+# [rad, m].
+_LARGEST_STEP, _SETTLED = 0.2, 0.05
+# Steps of every other node, and then of all of them, at most.
+_STEPS, _STEPS_AGAIN = 6, 4
+# A step solves its problem so many times at most. For each node that costs n³ over this, in
+# distances, with n joints.
+_SOLUTIONS, _PER_DISTANCE = 6, 20
 # How often nodes beside a motion that is not free are asked for more room, and how much [m].
 _TRIES, _MORE = 6, 4e-3
-# A solution for so many nodes costs as much as looking at a posture.
-_NODES_AT_ONCE = 8
 _ROUND_OFF = 1e-9
 
 
@@ -214,7 +217,7 @@ def solve_step(band: Band, scaling: Vector) -> bool:
     for i in range(size):
         linear[i] = 0.0
         for j in range(max(i - last, 0), min(i + last + 1, size)):
-            hessian[i, j] = _DAMPING if i == j else 0.0
+            hessian[i, j] = 0.0
     for i in range(count + 1):
         for j in range(n):
             before = band.ends[0, j] if i == 0 else nodes[i - 1, j]
@@ -300,8 +303,8 @@ def pulled_tight(
         room: that it has, and shall have [m]; where it has less it may have as little.
     """
     polygon, scaling = np.array([place.q for place in way]), space.joints.scaling
-    size, needed = float(space.distance(polygon[:-1], polygon[1:]).sum()), space.asked(room)
-    pieces = 2 * min(max(math.ceil(0.5 * size / _SPACING), 4), _MOST_PIECES)
+    size, needed = float(lengths_along(polygon, scaling)[-1]), space.asked(room)
+    pieces = 2 * min(max(math.ceil(0.5 * size / _SPACING), 4), _MOST_PIECES // 2)
     postures = evenly(polygon, scaling, pieces)
     rooms = yield from _rooms(space, postures)
     least = np.minimum(needed, rooms)
@@ -319,7 +322,7 @@ def pulled_tight(
         blocked = yield from _blocked(space, postures, rooms, least, needed)
         if not blocked.any():
             tight = [way[0], *map(Place, postures[1:-1], rooms[1:-1]), way[-1]]
-            shorter = float(space.distance(postures[:-1], postures[1:]).sum()) < size
+            shorter = float(lengths_along(postures, scaling)[-1]) < size
             return tight if shorter and (yield from space.keeps_rules(tight)) else None
         band.asked[blocked[:-1] | blocked[1:]] += _MORE
     return None
@@ -327,7 +330,7 @@ def pulled_tight(
 
 def _relaxed(space: FreeSpace, band: Band, steps: int) -> Generator[None, None, None]:
     """Let a band go where it is shorter."""
-    count, joints = len(band.nodes), space.joints
+    (count, n), joints = band.nodes.shape, space.joints
     for _ in range(steps):
         for first in range(0, count, space.at_once):
             last = min(first + space.at_once, count)
@@ -336,7 +339,7 @@ def _relaxed(space: FreeSpace, band: Band, steps: int) -> Generator[None, None, 
             yield
         for _ in range(_SOLUTIONS):
             changed = solve_step(band, joints.scaling)
-            space.spend(count // _NODES_AT_ONCE * space.cost)
+            space.spend(count * n**3 // _PER_DISTANCE)
             yield
             if not changed:
                 break

@@ -91,7 +91,7 @@ class FreeSpace:
             obstacles, constants.radii, constants.self_pairs, constants.self_supports,
             constants.cone, in_cone, np.where(self.reach.any(axis=1), 0.0, np.inf))
         self.cost = obstacles.smallest.size + len(constants.self_pairs) + _COST_OF_POSTURE
-        self.at_once = max(_PIECE // self.cost, 1)
+        self.at_once = max(_PIECE // (self.cost + _COST_OF_RULE * self._rules), 1)
 
     def spend(self, distances: int) -> None:
         """Note work that was done besides measuring, in distances."""
@@ -118,6 +118,7 @@ class FreeSpace:
         """
         if not self._rules:
             return True
+        looked = 0
         for one, other in itertools.pairwise(way):
             least = np.minimum(np.minimum(one.room, other.room)[-self._rules:], _ROOM_OF_RULES)
             steps = math.ceil(float(np.abs(other.q - one.q).max(initial=0.0)) / _STEP)
@@ -125,7 +126,8 @@ class FreeSpace:
                 between = one.q + step / steps * (other.q - one.q)
                 if (self._rooms_of_rules(between[None])[0] < least - _ROUND_OFF).any():
                     return False
-                if step % 4 == 0:
+                looked += 1
+                if looked % 4 == 0:
                     yield
         yield
         return True

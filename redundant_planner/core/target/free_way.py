@@ -139,7 +139,8 @@ class FreeWay:
         self._improves = False
         self._space: FreeSpace | None = None
         self._age = 0.0  # of the thought [s]
-        self._searches = 0  # for this target: what the filter stops once is not to come again
+        # For this target so far, the seed of the next one: the last way may have been stopped.
+        self._searches = 0
         self.tried_line = False
         self._aside: float | None = None  # for how long it has been aside [s]
         self._look_age = 0.0

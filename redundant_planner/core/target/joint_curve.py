@@ -55,18 +55,18 @@ def resampled(polygon: Array, scaling: Array, spacing: float) -> Array:
         scaling: (n,) of the joints' lengths, see `PathJoints`.
         spacing: with joint weights [rad].
     """
-    size = float(_along(polygon, scaling)[-1])
+    size = float(lengths_along(polygon, scaling)[-1])
     return evenly(polygon, scaling, max(math.ceil(min(size / spacing, _MOST_PIECES)), 4))
 
 
 def evenly(polygon: Array, scaling: Array, pieces: int) -> Array:
     """Return points (pieces + 1, n) along a polygon (c, n), evenly spaced; see `resampled`."""
-    along = _along(polygon, scaling)
+    along = lengths_along(polygon, scaling)
     at = np.linspace(0.0, along[-1], pieces + 1)
     return np.stack([np.interp(at, along, column) for column in polygon.T], axis=1)
 
 
-def _along(polygon: Array, scaling: Array) -> Array:
-    """Return how long a polygon is up to each of its corners (c,), with joint weights [rad]."""
+def lengths_along(polygon: Array, scaling: Array) -> Array:
+    """Return how long a polygon (c, n) is up to each corner (c,), with joint weights [rad]."""
     steps = np.diff(polygon, axis=0) / scaling
     return np.concatenate((np.zeros(1), np.cumsum(np.sqrt((steps * steps).sum(axis=1)))))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from itertools import pairwise
 import math
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ from redundant_planner.core.target.elastic_band import pulled_tight
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.goal_postures import goal_postures, only_posture
+from redundant_planner.core.target.joint_curve import lengths_along
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
 from redundant_planner.core.target.straight_motion import Motion, new_motion
 from redundant_planner.core.target.tree_growth import (
@@ -38,6 +40,7 @@ from redundant_planner.core.target.tree_growth import (
 
 Array = npt.NDArray[np.float64]
 Way = list[Place]
+Thing = TypeVar('Thing')
 
 # Room that ways have, in turn, but for their ends: much lets the arm go fast, little finds ways
 # through gaps [m]. A way with little counts as longer by this factor.
@@ -45,8 +48,9 @@ _ROOMS, _PRICE_OF_GAPS = (0.01, 0.002), 1.3
 # An arm that is found closer than its margin may start on a way all the same, within this, and a
 # goal keeps so much [m].
 _INSIDE, _AT_GOAL = 2e-3, 1e-4
-# A place aside counts less by this for each rad of the way there [m/rad].
-_PRICE_OF_ASIDE = 0.01
+# A place aside counts less by this for each rad of the way there [m/rad], and so many are looked
+# at: that is done in one tick.
+_PRICE_OF_ASIDE, _MOST_ASIDE = 0.01, 32
 # Branches that a tree without goals grows between guesses.
 _LOOKS_AROUND = 10
 # Guesses at goal postures before each attempt, and how many postures are enough. Half of them may
@@ -59,8 +63,8 @@ _AS_GOOD = 1.05
 # Longest branch that is tried at once [rad, joint weights included]: anywhere, where the way may
 # have little room, and where the tip stays in a cone.
 _BRANCH, _BRANCH_IN_GAPS, _BRANCH_IN_CONE = 0.8, 0.5, 0.2
-# Every other random posture is about so near to one of a tree's [rad, m]: what is narrow are the
-# places from which an end is reached, and few motions towards anywhere lead out of there.
+# Every other random posture is about so near to a posture of a tree [rad, m]. Few motions lead out
+# of a narrow place, and those towards far postures hardly ever do.
 _NEAR_TREES = 0.9
 # Random postures that trees grow towards, drawn at once, and what trees cost, in distances.
 _AIMS, _COST_OF_TREES = 256, 3000
@@ -155,7 +159,8 @@ class PathSearch:
         self._start = self._space.begin_at(rest[0])
         self._blocked.clear()
         last = min(self._goals, key=lambda goal: float(np.abs(goal.q - rest[-1]).max()))
-        self.way = [self._start, *map(self._space.place, rest[1:-1]), last]
+        between = rest[1:-1]
+        self.way = [self._start, *_places(between, self._space.rooms(between)), last]
         self.straight = False
         self._price = self._price_of(self.way, self.room)
 
@@ -174,23 +179,19 @@ class PathSearch:
         """Have the way lead to where obstacles are furthest, as far as that is known."""
         if self._trees is None:
             return
-        postures, space = self._trees.postures[0, :self._trees.numbers[0]], self._space
-        best = int(np.argmax(
-            space.away(postures) - _PRICE_OF_ASIDE * space.distance(self._start.q, postures)))
+        trees, space = self._trees, self._space
+        looked_at = _evenly(range(int(trees.numbers[0])), _MOST_ASIDE)
+        postures = trees.postures[0, looked_at]
+        best = looked_at[int(np.argmax(
+            space.away(postures) - _PRICE_OF_ASIDE * space.distance(self._start.q, postures)))]
         if best > 0:
-            nodes = to_root(self._trees, 0, best)[::-1]
-            self.way = _places(postures[nodes], self._trees.rooms[0, nodes])
+            nodes = to_root(trees, 0, best)[::-1]
+            self.way = _places(trees.postures[0, nodes], trees.rooms[0, nodes])
             self.room, self.aside = _ROOMS[-1], True
 
     def length(self, way: Way) -> float:
         """Return how long a way is, joint weights included [rad]."""
-        return float(self._along(way)[-1])
-
-    def _along(self, way: Way) -> Array:
-        """Return the length of a way up to each of its places (k,)."""
-        nodes = np.array([place.q for place in way])
-        return np.concatenate((np.zeros(1), np.cumsum(
-            self._space.distance(nodes[:-1], nodes[1:]))))
+        return float(lengths_along(_stacked(way)[0], self._space.joints.scaling)[-1])
 
     def _guess(self) -> Generator[None, None, None]:
         """Look for goal postures."""
@@ -268,7 +269,9 @@ class PathSearch:
                 broken = yield from self._rule_broken(way)
                 if broken is None:
                     return way
-                cut_off(trees, broken)
+                space.spend(cut_off(trees, broken))
+            yield
+        # Between two branches: the memory of the motion that is looked at is none of the trees'.
         self._unmet[room] = trees, len(goals)
         return None
 
@@ -298,7 +301,7 @@ class PathSearch:
             ended, looked = grow(
                 trees, motion, towards, needed, space.joints.scaling, longest,
                 space.joints.position_min, space.joints.position_max, space.reach,
-                trees.postures.shape[1], space.at_once, space.robot.chain, space.around)
+                space.at_once, space.robot.chain, space.around)
             space.spend(looked * space.cost)
             if ended != GROWING:
                 return ended
@@ -367,8 +370,8 @@ class PathSearch:
         return self._memory
 
 
-def _evenly(places: list[Place], most: int) -> list[Place]:
-    """Return so many of some places at most, evenly spread, the first one among them."""
+def _evenly(places: Sequence[Thing], most: int) -> Sequence[Thing]:
+    """Return so many of a sequence at most, evenly spread, the first one among them."""
     return places[::max(math.ceil(len(places) / most), 1)]
 
 

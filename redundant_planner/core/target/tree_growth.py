@@ -1,7 +1,7 @@
 """Two trees of postures that grow towards random ones and each other (RRT-Connect).
 
-Kuffner and LaValle 2000. The smaller tree grows first, as one in a corner would else keep a few
-postures while the other one fills its space.
+Kuffner and LaValle 2000. After each attempt the smaller tree is the next to grow: one in a corner
+would else keep a few postures while the other one fills its space.
 """
 
 from __future__ import annotations
@@ -93,9 +93,10 @@ def new_trees(most: int, starts: tuple[Array, Array], goals: tuple[Array, Array]
 
 
 def add_goals(trees: Trees, postures: Array, rooms: Array) -> None:
-    """Add goals (r, n) with room (r, k) to the second tree, as far as there is room for nodes."""
+    """Add goals (r, n) with room (r, k) to the second tree, as far as it has room for them."""
     first = int(trees.numbers[_OTHER_COUNT])
-    last = min(first + len(postures), trees.postures.shape[1])
+    # A branch may always be added without asking.
+    last = max(first, min(first + len(postures), trees.postures.shape[1] - 1))
     trees.postures[1, first:last] = postures[:last - first]
     trees.rooms[1, first:last] = rooms[:last - first]
     trees.parents[1, first:last] = -1
@@ -109,27 +110,18 @@ def way_between(trees: Trees) -> tuple[Array, Array]:
             np.concatenate((trees.rooms[0, forth], trees.rooms[1, back[1:]])))
 
 
-def cut_off(trees: Trees, edge: int) -> None:
-    """Cut an edge of the way between trees that have met, and what hangs on it, off its tree."""
+def cut_off(trees: Trees, edge: int) -> int:
+    """Cut an edge of the way between trees that have met, and what hangs on it, off its tree.
+
+    Returns:
+        How many postures that tree had.
+    """
     forth, back = _branches(trees)
-    if edge + 1 < len(forth):
-        tree, node = 0, forth[edge + 1]
-    else:
-        tree, node = 1, back[edge + 1 - len(forth)]
-    count = int(trees.numbers[tree])
-    parents = trees.parents[tree, :count].copy()
-    gone, known = np.arange(count) == node, 0
-    while known < gone.sum():
-        known = gone.sum()
-        gone |= (parents >= 0) & gone[parents]
-    kept = np.flatnonzero(~gone)
-    for values in (trees.postures[tree], trees.rooms[tree]):
-        values[:len(kept)] = values[kept]
-    moved = np.cumsum(~gone) - 1
-    trees.parents[tree, :len(kept)] = np.where(
-        parents[kept] >= 0, moved[parents[kept]], parents[kept])
-    trees.numbers[tree] = len(kept)
-    trees.numbers[_CONNECTS] = trees.numbers[_LOOKS] = 0
+    tree, node = ((0, forth[edge + 1]) if edge + 1 < len(forth) else
+                  (1, back[edge + 1 - len(forth)]))
+    before = int(trees.numbers[tree])
+    _remove(trees, tree, node)
+    return before
 
 
 def _branches(trees: Trees) -> tuple[list[int], list[int]]:
@@ -150,6 +142,25 @@ def to_root(trees: Trees, tree: int, index: int) -> list[int]:
         found.append(index)
         index = int(trees.parents[tree, index])
     return found
+
+
+@entry
+def _remove(trees: Trees, tree: int, node: int) -> None:
+    """Remove a posture of a tree, and those that grew from it."""
+    count, parents, kept = trees.numbers[tree], trees.parents[tree], 0
+    moved = np.empty(count, np.intp)  # their new numbers, −1 for those that are gone
+    for i in range(count):
+        parent = parents[i]
+        if i == node or (parent >= 0 and moved[parent] < 0):
+            moved[i] = -1
+            continue
+        moved[i], parents[kept] = kept, parent if parent < 0 else moved[parent]
+        for j in range(trees.postures.shape[2]):
+            trees.postures[tree, kept, j] = trees.postures[tree, i, j]
+        for k in range(trees.rooms.shape[2]):
+            trees.rooms[tree, kept, k] = trees.rooms[tree, i, k]
+        kept += 1
+    trees.numbers[tree], trees.numbers[_CONNECTS], trees.numbers[_LOOKS] = kept, 0, 0
 
 
 @kernel
@@ -234,7 +245,7 @@ def _smaller_tree(numbers: Indices) -> int:
 @entry
 def grow(
     trees: Trees, motion: Motion, aims: Matrix, needed: Vector, scaling: Vector, longest: float,
-    low: Vector, high: Vector, reach: Matrix, most_nodes: int, most: int, chain: Chain,
+    low: Vector, high: Vector, reach: Matrix, most: int, chain: Chain,
     around: Around,
 ) -> tuple[int, int]:
     """Grow trees a little further; return how it ended, and how many postures were looked at.
@@ -248,12 +259,11 @@ def grow(
         longest: of a branch [rad].
         low, high: (n,) of the joints [rad, m].
         reach: (k, n) see `begin_motion`.
-        most_nodes: of both trees together.
         most: how many postures may be looked at, about.
         chain, around: the arm, and what is in its way.
     """
     numbers, scratch, looked = trees.numbers, new_scratch(trees.branch, chain, around), 0
-    room_for = min(most_nodes, trees.postures.shape[1] - 1)
+    room_for = trees.postures.shape[1] - 1
     while looked < most:
         tree = 1 - numbers[_TREE] if numbers[_CONNECTS] == 1 else numbers[_TREE]
         state = BLOCKED

@@ -63,7 +63,7 @@ def grown(space, start, goals, seed, at_once=20):
     while ended in (None, 0):
         ended, looked = grow(
             trees, motion, aims, space.asked(0.002), space.joints.scaling, 0.8,
-            space.joints.position_min, space.joints.position_max, space.reach, 2000, at_once,
+            space.joints.position_min, space.joints.position_max, space.reach, at_once,
             space.robot.chain, space.around)
         pieces += 1
         assert looked <= 2 * at_once + 10
