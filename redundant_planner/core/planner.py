@@ -253,8 +253,7 @@ class Planner:
                 `drive.dead_time` say, and noisy.
             twist: (6,) commanded tip twist in the command frame [m/s, rad/s]; entries of axes
                 that are not controlled do not count. Of an arm with t tips (t, 6).
-            scene: the obstacles. Pass the same object, or the same obstacles, while nothing
-                changes.
+            scene: the obstacles; the same object, or the same obstacles, while nothing changes.
             dt: time until the next tick [s].
             ahead: what will be commanded, for the joint path ahead: a preview that starts now
                 (`Preview.ahead` for one that started earlier), or a function of times from now
@@ -272,7 +271,7 @@ class Planner:
             gently: whether the arm is only to show that it follows: no joint is asked to be
                 faster than 0.05 rad/s or m/s.
             carefully: whether the arm has not been seen to move yet: no joint is asked to be
-                faster than that, or than what it can stop from within 0.08 s.
+                faster than that, or than it can stop from within 0.08 s, if that is more.
 
         Raises:
             StateError: `q`, `twist`, `ahead`, `target` or `news` does not fit, or `dt` is not
