@@ -2,8 +2,9 @@
 
     python test/mutations.py [--only N …] [--jobs 2]
 
-Each is made in a copy of the working tree, with a cache of machine code of its own. A mutation
-that survives is a property that no test holds: write that test.
+Each is made in a copy of the working tree, with a cache of machine code of its own: a copy of the
+tree's, which serves where the mutation is in nothing that is compiled. A mutation that survives is
+a property that no test holds: write that test.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = 'redundant_planner'
+_COMPILED = ROOT / PACKAGE / 'core' / '__pycache__'
 # How long the tests of a mutation may take before it counts as noticed: it hangs [s].
 _PATIENCE = 1500.0
 _FAILED = 1
@@ -266,6 +268,7 @@ def seen_by_tests(mutation: Mutation, folder: Path) -> bool:
     path.write_text(source.replace(mutation.old, mutation.new))
     try:
         with tempfile.TemporaryDirectory() as cache:
+            shutil.copytree(_COMPILED, cache, dirs_exist_ok=True)
             status = subprocess.run(
                 [sys.executable, '-m', 'pytest', '-x', '-q', '-p', 'no:cacheprovider',
                  '-p', 'no:rerunfailures', '-m', 'not live',

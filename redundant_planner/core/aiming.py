@@ -25,6 +25,7 @@ from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.own_barriers import OwnBarriers
 from redundant_planner.core.safety.stage import Stage
@@ -71,6 +72,7 @@ class Aiming:
         known = None if before is None else before._way
         self._way: Way = Way(robot, p, limits, constants, gains, known, commands.coupling, own)
         self._is_led: bool = before is not None and before._is_led  # to a target
+        self._by_joints: bool = before is not None and before._by_joints  # in the last tick
         self._back = ComingBack(robot, constants)
         self._evasive = EvasivePlan(robot, constants, limits, gains)
         self._evades = (
@@ -82,6 +84,7 @@ class Aiming:
         """Forget everything: the arm stands where it is found."""
         self._look_ahead.reset()
         self.forget_target()
+        self._by_joints = False
         self._back.reset()
         self._evasive.reset()
 
@@ -93,11 +96,7 @@ class Aiming:
     def leave_path(self) -> None:
         """Forget that the arm has to come back to a path."""
         self._back.reset()
-
-    @property
-    def guided(self) -> float:
-        """Share of the null-space motion that follows the joint path ahead."""
-        return self._look_ahead.guided
+        self._by_joints = False
 
     def catch_up(self, *, chose: bool) -> bool:
         """Improve the joint paths ahead, where that is due.
@@ -204,7 +203,8 @@ class Aiming:
         """
         start, dt = aim.start, aim.start.dt
         path = aim.mode.after(result, desired, start, last)
-        if isinstance(aim.mode, ByJoints) or self._way.is_along_chunk:
+        self._by_joints = isinstance(aim.mode, ByJoints)
+        if self._by_joints or self._way.is_along_chunk:
             self._way.went_on(result, dt)
         leaving = result.stage in (Stage.YIELDING, Stage.FORCED)
         if result.stage is Stage.SLIDING:  # as commanded, which no free way back overrules
@@ -216,6 +216,19 @@ class Aiming:
                 path = path._replace(reached=None)
         self._look_ahead.note(result.scale, dt)
         return path
+
+    def missed(self, last: LastTick, seconds: float) -> Poses | None:
+        """Note that ticks did not take place, in which the arm went on as in the last one.
+
+        Args:
+            last: what that has left.
+            seconds: how long they would have taken.
+
+        Returns:
+            Where the tips should be by now; None for where they are.
+        """
+        self._way.missed(seconds, by_joints=self._by_joints)
+        return self._along_path.went_on(last, seconds)
 
     def progress(self, target: Target, arm: Kinematics) -> Progress:
         """Return how far the arm is on its way to a target."""

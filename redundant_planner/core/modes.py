@@ -162,6 +162,14 @@ class AlongPath:
                   result.scales[commands.share_of])
         return self._after(shares * task.commanded + result.residual * last.followed, start)
 
+    def went_on(self, last: LastTick, seconds: float) -> Poses | None:
+        """Return the reference poses after time in which the path was followed as before."""
+        if last.reference is None:
+            return None
+        constants = self._constants
+        return self._commands.led(followed_poses(
+            last.reference, last.followed, constants.rows, constants.in_tool, seconds))
+
     def _after(self, followed: Array, start: Start) -> Path:
         constants = self._constants
         return Path(followed, self._commands.led(followed_poses(

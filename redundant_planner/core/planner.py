@@ -19,10 +19,8 @@ from redundant_planner.core.constants import gains_of, robot_constants
 from redundant_planner.core.errors import known, ParameterError, PlannerError, shown, StateError
 from redundant_planner.core.horizon.preview import Preview, TwistAhead
 from redundant_planner.core.machine_code.packed import Packed
-from redundant_planner.core.modes import Aim, LastTick, Path
-from redundant_planner.core.obstacles.clearance import pseudo_distance
+from redundant_planner.core.modes import LastTick, Path
 from redundant_planner.core.obstacles.contacts import AllowedContacts, Contact, contacts
-from redundant_planner.core.obstacles.nearby import Surroundings
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.watch import ObstacleWatch
@@ -40,7 +38,7 @@ from redundant_planner.core.safety.jerk import check_tick, reversal_time, Smooth
 from redundant_planner.core.safety.own_barriers import OwnBarriers, OwnRows
 from redundant_planner.core.safety.reasons import fallbacks_of
 from redundant_planner.core.safety.stage import Stage
-from redundant_planner.core.step_result import Nearest, StepResult
+from redundant_planner.core.step_result import StepResult
 from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.core.tick import Setup, Wish, wish, World
@@ -223,11 +221,6 @@ class Planner:
         """Where the arm will be by its commands at the end of the latest (n,) [rad, m]."""
         return self._observer.ahead
 
-    @property
-    def guided(self) -> float:
-        """Share of the null-space motion that follows the joint path ahead."""
-        return self._aiming.guided
-
     def prepare(self, scene: Scene | Sequence[Obstacle]) -> bool:
         """Do a part of the next `step` ahead of it, where there is time for that.
 
@@ -311,14 +304,18 @@ class Planner:
             aim, admitted.result, desired, last, by_target=target is not None)
         self._remember(admitted, path, desired, dt)
 
-        result, fallback = admitted.result, self._fallback(aim, desired, admitted, crowded)
+        result = admitted.result
+        fallback = '; '.join(
+            self._aiming.fallbacks(aim, crowded=crowded)
+            + (fallbacks_of(result, desired.unseen_share) if self._filtered else [])
+            + self._own_criteria.fallbacks)
         jerk_kept = self._smoothing.keeps_jerk
         reasons = fallback, aim.says, *admitted.says, '' if jerk_kept else _JERK_GIVES_WAY
         motions, error = desired.motions, desired.task.error
         return StepResult(
             self._smoothing.sent.copy(), motions[1], motions[2], desired.factor,
             result.scale, result.stage, '; '.join(filter(None, reasons)), fallback,
-            desired.clearance_index, self._nearest(desired, around),
+            desired.clearance_index, self._safeguard.nearest(desired, around),
             desired.manipulability, tips.first, error[:6], jerk_kept,
             None if asked.target is None else self._aiming.progress(asked.target, arm),
             self._commands.results(tips, error, result),
@@ -370,6 +367,24 @@ class Planner:
         self._last = LastTick.at_rest(self.robot)._replace(
             dq=self._smoothing.latest, rush=last.rush - dt)
 
+    def missed(self, ticks: int) -> None:
+        """Note that ticks did not take place, and the arm went on by its latest velocity.
+
+        Its path and its way have gone on with it. An arm that takes positions misses none: it
+        waits.
+
+        Args:
+            ticks: how many, each as long as the latest was to be.
+
+        Raises:
+            StateError: that is no whole number, or below 0.
+        """
+        if not isinstance(ticks, int) or ticks < 0:
+            raise StateError(f'ticks is {shown(ticks)}; it takes a whole number, 0 or more')
+        if ticks:
+            self._last = self._last._replace(reference=self._aiming.missed(
+                self._last, self._observer.went_on(ticks)))
+
     def _posture(self, measured: Array, dt: float) -> Array:
         """Return where the arm will be once all that was planned has been carried out (n,).
 
@@ -381,20 +396,3 @@ class Planner:
         if self._smoothing.latest is not self._last.dq:  # another mean has taken over
             self._last = self._last._replace(dq=self._smoothing.latest)
         return posture
-
-    def _fallback(self, aim: Aim, desired: Wish, admitted: Admitted, crowded: bool) -> str:
-        """Say which bounds on its work a tick reached, and what was done instead."""
-        said = self._aiming.fallbacks(aim, crowded=crowded)
-        if self._filtered:
-            said += fallbacks_of(admitted.result, desired.unseen_share)
-        return '; '.join(said + self._own_criteria.fallbacks)
-
-    def _nearest(self, desired: Wish, around: Surroundings) -> Nearest | None:
-        if desired.nearest_link < 0:
-            return None
-        obstacle = desired.nearest_obstacle
-        lead = self._parameters.clearance_lead * float(around.maps.speeds[obstacle])
-        return Nearest(
-            self.robot.capsules[desired.nearest_link].name,
-            around.scene.names[around.near[obstacle]],
-            pseudo_distance(desired.nearest_normalized_distance), desired.nearest_distance + lead)

@@ -12,6 +12,7 @@ from redundant_planner.core.commands import Commands, possible_share
 from redundant_planner.core.constants import joint_weights, limits_of, RobotConstants
 from redundant_planner.core.errors import known
 from redundant_planner.core.modes import Aim, LastTick
+from redundant_planner.core.obstacles.clearance import pseudo_distance
 from redundant_planner.core.obstacles.nearby import Surroundings
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -32,6 +33,7 @@ from redundant_planner.core.safety.slow_down import SlowDown
 from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.safety.stages import Filtered, safe_velocity
 from redundant_planner.core.safety.way_out import LastWayOut
+from redundant_planner.core.step_result import Nearest
 from redundant_planner.core.tick import Wish
 
 Array = npt.NDArray[np.float64]
@@ -97,6 +99,16 @@ class Safeguard:
     def reset(self) -> None:
         """Forget what was found out about the posture."""
         self._way_out.forget()
+
+    def nearest(self, desired: Wish, around: Surroundings) -> Nearest | None:
+        """Return the link and obstacle that are nearest to each other; None without any."""
+        link, obstacle = desired.nearest_link, desired.nearest_obstacle
+        if link < 0:
+            return None
+        lead = self._parameters.clearance_lead * float(around.maps.speeds[obstacle])
+        return Nearest(
+            self._robot.capsules[link].name, around.scene.names[around.near[obstacle]],
+            pseudo_distance(desired.nearest_normalized_distance), desired.nearest_distance + lead)
 
     def admitted(
         self, aim: Aim, desired: Wish, rows: Rows, scene: Scene, around: Surroundings,

@@ -27,6 +27,8 @@ _WITH_ATTACHED = 10
 # Rows add this for each topic with obstacles and a checksum, which come last of all. Earlier rows
 # have none for the first topic.
 _WITH_TOPIC = 100
+# And this for each tick that did not take place before them.
+_MISSED = 1_000_000
 # Stamps count seconds in 32 bits, and every other number is smaller.
 _LARGEST = 2.0**32
 
@@ -60,6 +62,7 @@ class RecordedTick(NamedTuple):
         goes_on: whether the latest chunk that was a target is the target still.
         news: see `Planner.step`.
         tips_go_on: tips of which the latest chunk is the target still, see `RecordedTarget`.
+        missed: ticks that did not take place before it, see `Planner.missed`.
     """
 
     stamp_ns: int
@@ -76,12 +79,14 @@ class RecordedTick(NamedTuple):
     goes_on: bool = False
     news: tuple[Sighting, ...] = ()
     tips_go_on: tuple[str, ...] = ()
+    missed: int = 0
 
     def numbers(self) -> array.array[float]:
         """Return all of it as one row of numbers."""
         more, target = RecordedTarget(
             self.target, self.goes_on, self.news, self.tips_go_on).numbers()
-        kind = self.kind + _WITH_ATTACHED + more + _WITH_TOPIC * len(self.checked_messages)
+        kind = (self.kind + _WITH_ATTACHED + more + _WITH_TOPIC * len(self.checked_messages)
+                + _MISSED * self.missed)
         return array.array('d', np.concatenate((
             (*divmod(self.stamp_ns, _BILLION), self.time, kind, self.obstacle_messages,
              self.preview_messages, self.preview_elapsed, self.attached_messages),
@@ -111,6 +116,10 @@ class RecordedTick(NamedTuple):
 
     @classmethod
     def _of(cls, numbers: Array, n: int, tips: Sequence[str]) -> RecordedTick:
+        missed = 0
+        if len(numbers) > _HEAD and _MISSED <= numbers[3] <= _LARGEST:
+            missed = int(numbers[3] // _MISSED)
+            numbers[3] -= missed * _MISSED
         row, aimed, more = _parted(numbers, n, tips)
         twist = _TWIST * max(len(tips), 1)
         if len(row) >= _HEAD:
@@ -140,7 +149,7 @@ class RecordedTick(NamedTuple):
                    row[_HEAD:_HEAD + twist].reshape((-1, 6) if tips else 6),
                    row[_HEAD + twist:], aimed.target,
                    tuple((int(count), int(check)) for count, check in more.reshape(-1, 2)),
-                   aimed.goes_on, aimed.news, aimed.tips_go_on)
+                   aimed.goes_on, aimed.news, aimed.tips_go_on, missed)
 
 
 def _parted(

@@ -47,6 +47,8 @@ class CommandOutput:
         moved_at: when a motion was first commanded, by the system's monotonic clock; infinite
             before [s].
         lag: by how much more than its own a drive may lag that gets them [s].
+        goes_on: for how many periods an arm goes on by a command that none follows: those that
+            take velocities for ever, others until their last position.
     """
 
     def __init__(
@@ -65,6 +67,8 @@ class CommandOutput:
         self.moved_at = np.inf
         # A trajectory that begins where the arm is asks for a part of the way that is left.
         self.lag = (_REACH - 1) * LAG if JOINT_TRAJECTORY in outputs else 0.0
+        self.goes_on = 0.0 if POSITION_COMMANDS in outputs else (
+            _REACH - 1.0 if JOINT_TRAJECTORY in outputs else np.inf)
         self._heard: set[str] = set()  # outputs that have had a listener
         self._publisher = node.create_publisher(JointState, JOINT_COMMAND, 10)
         self._writer = JointWriter(joint_names)

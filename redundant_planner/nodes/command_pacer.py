@@ -27,6 +27,7 @@ class CommandPacer:
 
     Attributes:
         waited: how long the command of the last tick has waited [s].
+        missed: how many moments have passed without a tick before the latest one.
     """
 
     def __init__(self, period: float) -> None:
@@ -35,7 +36,7 @@ class CommandPacer:
         Args:
             period: between commands [s].
         """
-        self.waited = 0.0
+        self.waited, self.missed = 0.0, 0
         self._period = period
         self._lead = min(_SHARE * period, _LONGEST)
         self._due = float('inf')
@@ -47,11 +48,12 @@ class CommandPacer:
         No timer is early, so the earliest ticks tell when commands are due. A late tick changes
         nothing, and its command may be overdue already.
         """
-        self.waited = 0.0
+        self.waited, self.missed = 0.0, 0
         latest = now + self._lead
         if self._due < latest:
             periods = max(int((latest - self._due) / self._period + _CREEP), 1)
             self._due += (1.0 + _CREEP) * periods * self._period
+            self.missed = periods - 1
         self._due = min(self._due, latest)
         return self._due
 

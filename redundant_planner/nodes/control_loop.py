@@ -43,6 +43,9 @@ Array = npt.NDArray[np.float64]
 # A measured posture that jumps by more than this beyond what the arm can travel starts everything
 # again from there [rad, m].
 _JUMP = 0.1
+# So long an arm that takes velocities is taken to go on by one that none follows: drives may time
+# out. Beyond that, where it is measured counts [s].
+_GOES_ON = 0.1
 
 
 class ControlLoop:
@@ -109,6 +112,7 @@ class ControlLoop:
         self._stop = SmoothStop(robot.acceleration_max, robot.jerk_max, self._period)
         self._last_command: Array | None = None  # velocities; None while the arm rests
         self._is_sent = False  # whether this tick's command is out
+        self._missed = 0  # ticks that did not take place before this one
         self._no_time = ''  # why the loop's clock stands still
 
     @property
@@ -196,6 +200,10 @@ class ControlLoop:
         """Do what the supervisor decides; return that."""
         if self.supervisor.recovery_due(self.at_rest):
             self._recover()
+        if not self.at_rest:
+            self._missed = int(min(
+                self.pacer.missed, self.output.goes_on, _GOES_ON // self._period))
+            self.planner.missed(self._missed)
         self._see_whether_it_follows()
         decision = self.supervisor.decide(
             self.now, self.at_rest, self.settings.joint_state_timeout)
@@ -335,7 +343,8 @@ class ControlLoop:
         self._last_command, self._is_sent = dq, True
         if self._record is not None:
             self._record.write(stamp_ns, self.now, kind, posture,
-                               asked or Asked(self.coupling.no_twist))
+                               asked or Asked(self.coupling.no_twist), self._missed)
+        self._missed = 0
 
     def _read_and_prepare(self, moves: bool) -> bool:
         """Read messages on obstacles and attached, if that need not wait; prepare the next tick.

@@ -54,7 +54,9 @@ class TickRecord:
         self._command, self._obstacles, self._attached = command, obstacles, attached
         self._chunks = LatestChunks()
 
-    def write(self, stamp_ns: int, now: float, kind: TickKind, q: Array, asked: Asked) -> None:
+    def write(
+        self, stamp_ns: int, now: float, kind: TickKind, q: Array, asked: Asked, missed: int,
+    ) -> None:
         """Record a tick; for all of it see `RecordedTick`.
 
         Args:
@@ -63,6 +65,7 @@ class TickRecord:
             kind: what it did.
             q: (n,) measured posture [rad, m].
             asked: what was asked of it.
+            missed: ticks that did not take place before it.
         """
         command, target = self._command, self._chunks.to_record(asked.target)
         elapsed = command.preview_elapsed() if asked.ahead is not None else np.nan
@@ -70,4 +73,4 @@ class TickRecord:
         self._publish(RecordedTick(
             stamp_ns, now, kind, obstacles[0][0], command.previews, elapsed,
             self._attached.read_counts[0], asked.twist, q, target.target, obstacles,
-            target.goes_on, asked.news, target.tips_go_on).numbers())
+            target.goes_on, asked.news, target.tips_go_on, missed).numbers())

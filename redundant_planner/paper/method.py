@@ -83,6 +83,7 @@ class PaperPlanner:
     def reset(self) -> None:
         """Forget the reference pose: the arm stands where it is found."""
         self.reference = None
+        self._followed, self._dt = np.zeros(6), 0.0
 
     def hold(self, things: Iterable[Obstacle]) -> None:
         """Have `Nearest` tell of what the hand holds, too; Eq. 7 minds the joints alone."""
@@ -91,6 +92,12 @@ class PaperPlanner:
     def braked(self, dq: Array, dt: float) -> None:
         """Leave the path that was followed: something else was commanded, to stop the arm."""
         self.reset()
+
+    def missed(self, ticks: int) -> None:
+        """Note that ticks did not take place, and the tip went on as in the last one."""
+        if self.reference is not None:
+            self.reference = integrate(
+                self.reference, self._followed, ticks * self._dt, self.robot.in_tool)
 
     def prepare(self, scene: Scene) -> bool:
         """Do nothing: a new scene costs nothing ahead."""
@@ -136,7 +143,8 @@ class PaperPlanner:
         pose = Pose(arm.tip_position, arm.tip_rotation)
         reference = self.reference or pose
         error = robot.full_twist(pose_error(reference, pose, robot.in_tool)[robot.rows])
-        self.reference = integrate(reference, robot.full_twist(jacobian @ dq), dt, robot.in_tool)
+        self._followed, self._dt = robot.full_twist(jacobian @ dq), dt
+        self.reference = integrate(reference, self._followed, dt, robot.in_tool)
         return StepResult(
             dq, least_norm, homogeneous, factor, 1.0, Stage.DESIRED, '', '', clearance,
             self._nearest(arm, scene), math.sqrt(max(np.linalg.det(jacobian @ jacobian.T), 0.0)),

@@ -114,6 +114,8 @@ def _rows(
         if measured or starts:
             q = tick.q
         planned.hear(tick)
+        if measured:
+            planned.miss(tick)
         dq = (planned.brake() if measured and tick.kind == TickKind.BRAKING
               else planned.step(tick, q, starts=starts))
         positions[i], velocities[i] = q, dq
@@ -175,6 +177,10 @@ class _Planned:
         except ObstacleError:
             return
         self._obstacles.hidden = self._payload.names
+
+    def miss(self, tick: RecordedTick) -> None:
+        """Note the ticks that did not take place before one."""
+        self._planner.missed(tick.missed)
 
     def brake(self) -> Array:
         """Return the velocities (n,) of a tick without the planner [rad/s, m/s]."""

@@ -212,3 +212,10 @@ def test_positions_are_told_in_the_count_of_the_arms_driver():
             np.testing.assert_allclose(there, here + turned, atol=1e-12)
         assert counted['velocity_commands'][-1].data == plain['velocity_commands'][-1].data
         assert positions(plain)[2][0] <= 2.0
+
+
+@pytest.mark.parametrize('outputs, periods', [
+    ((), np.inf), (('velocity_commands',), np.inf), (('joint_trajectory',), 1.0),
+    (('velocity_commands', 'position_commands'), 0.0)])
+def test_an_arm_that_takes_velocities_goes_on_by_its_last_one(outputs, periods):
+    assert output({}, outputs=outputs).goes_on == periods

@@ -30,7 +30,8 @@ def test_missed_ticks_are_left_out(steps):
     beat = CommandPacer(PERIOD)
     first = beat.begin(0.0)
     counts = np.cumsum(steps)
-    due = [beat.begin(count * PERIOD) for count in counts]
+    due, missed = zip(*((beat.begin(count * PERIOD), beat.missed) for count in counts))
+    assert list(missed) == [step - 1 for step in steps]
     np.testing.assert_allclose(due, first + counts * PERIOD, atol=1e-3 * PERIOD)
 
 

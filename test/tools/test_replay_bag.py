@@ -303,8 +303,13 @@ def test_targets_of_tips_survive_the_way_there_and_back(targets, ages):
 def test_a_recorded_tick_survives_the_way_there_and_back_and_nonsense_is_refused():
     tick = RecordedTick(1_795_276_822_763_012_348, 12.5, TickKind.STARTING, 3, 1, np.nan,
                         5, np.arange(6.0), np.arange(7.0))
+    for missed in (1, 25, 999):
+        late = tick._replace(missed=missed, checked_messages=((3, 17),))
+        assert RecordedTick.of(late.numbers(), 7)[-1] == missed
+        assert RecordedTick.of(late.numbers(), 7).checked_messages == late.checked_messages
     numbers = tick.numbers()
     again_ = RecordedTick.of(numbers, 7)
+    assert again_.missed == 0
     assert again_[:5] == tick[:5] and np.isnan(again_.preview_elapsed)
     assert again_.attached_messages == 5
     np.testing.assert_array_equal(again_.twist, tick.twist)

@@ -89,6 +89,14 @@ class JointObserver:
             _obey(self._state, self._late, self.lag, self.dead_time, self._told)
         self._state[_TOLD], self._told = dq, dt
 
+    def went_on(self, ticks: int) -> float:
+        """Note that the latest command has held for some ticks more; return how long [s]."""
+        if self._told == 0.0:
+            return 0.0
+        for _ in range(ticks):
+            _obey(self._state, self._late, self.lag, self.dead_time, self._told)
+        return ticks * self._told
+
     def _take_ticks_of(self, dt: float) -> None:
         """Hold the commands that are under way as those of ticks of dt [s]."""
         if self._told > 0.0:

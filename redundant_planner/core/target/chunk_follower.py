@@ -148,6 +148,12 @@ class ChunkFollower:
         stands = self._share < _LEAST_SPEED and not self._is_over
         self._stuck = min(max(self._stuck + (dt if stands else -dt), 0.0), 2.0 * _PATIENCE)
 
+    def missed(self, seconds: float) -> None:
+        """Note that ticks did not take place, in which the arm went on at its pace."""
+        assert self._way is not None
+        self._clock += seconds * (self._s < self._way.end)
+        self.went_on(0.0, 1.0, seconds)
+
     def progress(self, chunk: Chunk, arm: Kinematics) -> Progress:
         """Return how far the arm has come, from where it is."""
         way, end = self._way, chunk.end

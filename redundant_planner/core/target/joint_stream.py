@@ -67,6 +67,10 @@ class JointStream:
         """Whether the targets are a stream, or were one until it fell silent."""
         return self._target.moves
 
+    def wait(self, seconds: float) -> None:
+        """Let time go by: the stream has gone on meanwhile."""
+        self._target.wait(seconds)
+
     def sense(self, news: Sequence[Sighting], start: Start) -> None:
         """Take the targets (n,) that came since the last tick."""
         q, turns = start.arm.q, self._position_max

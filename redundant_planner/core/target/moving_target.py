@@ -118,6 +118,11 @@ class MovingTarget:
         if self._smoother is not None:
             self._smoother.lag = self._lag
 
+    def wait(self, seconds: float) -> None:
+        """Let time go by."""
+        self._now += seconds
+        self._least_age += _DRIFT * seconds
+
     def sense(
         self, news: list[tuple[Array, float | None]], dt: float,
         resumes: Callable[[Array], bool],
@@ -129,8 +134,7 @@ class MovingTarget:
             dt: time since the last call [s].
             resumes: whether a stream goes on with these numbers after a silence.
         """
-        self._now += dt
-        self._least_age += _DRIFT * dt
+        self.wait(dt)
         for numbers, age in news:
             self._take(Sample(self._time_of(age), numbers), resumes)
         if self._now - self._heard > _CLUTCH:

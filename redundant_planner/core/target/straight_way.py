@@ -141,6 +141,10 @@ class StraightWay:
         """Whether the way has not become shorter for a while, before its end."""
         return self._patience.is_over and self.left > _AT_END
 
+    def wait(self, seconds: float) -> None:
+        """Let time go by: a stream has gone on meanwhile."""
+        self._target.wait(seconds)
+
     def sense(
         self, given: Pose, news: Sequence[Sighting], start: Start,
     ) -> Pose:

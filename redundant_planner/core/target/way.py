@@ -246,6 +246,22 @@ class Way:
                 share = result.scale if result.scales is None else float(result.scales[t])
                 chunks.went_on(share, result.residual, dt)
 
+    def missed(self, seconds: float, *, by_joints: bool) -> None:
+        """Note that ticks did not take place, in which the arm went on as in the last one.
+
+        Args:
+            seconds: how long they would have taken.
+            by_joints: whether the joints followed a way of theirs.
+        """
+        for line in self._lines:
+            line.wait(seconds)
+        self._stream.wait(seconds)
+        if by_joints and not self.is_along_chunk:
+            self._free.went_on(0.0, 1.0, seconds)
+        for chunks in self._chunks:
+            if chunks.is_active:
+                chunks.missed(seconds)
+
     def progress(self, target: Target, arm: Kinematics) -> Progress:
         """Return how far the arm has come, from where it is."""
         if isinstance(target, Chunk):
