@@ -141,7 +141,9 @@ class Worker:
 def _step(robot: Robot, name: str, problem: Problem, task: Task) -> Step:
     """Return the step of a method by name."""
     if name in METHODS:
-        parameters: PlannerParameters = replace(METHODS[name], clearance_margin=task.margin)
+        given: PlannerParameters = METHODS[name]
+        kept = max(given.clearance_margin, task.margin) if task.to_target else task.margin
+        parameters = replace(given, clearance_margin=kept, target_margin=task.margin)
         return planner_step(robot, parameters, problem, filtered=name not in UNFILTERED,
                             to_target=task.to_target)
     try:

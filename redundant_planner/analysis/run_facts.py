@@ -20,7 +20,7 @@ class RunFacts:
         recorded: when the bag began [s since 1970, UTC].
         method: of the planner.
         software: version and commit that published the configuration.
-        margin: clearance that the planner kept [m].
+        margin: the least clearance that the planner was to keep, of targets or else [m].
         period: of the planner's loop [s].
         tick_median, tick_longest: computing time of its ticks [s].
     """
@@ -54,6 +54,7 @@ def run_facts(
         tick_median, tick_longest: of the diagnostics [s].
     """
     method, margin = values.get('method'), number_of(values, 'clearance.margin', -1.0, 1e3)
+    margin = min(margin, number_of(values, 'target.margin', margin, 1e3))
     rate = number_of(values, 'rate', 0.0, 1e6)
     begin = origin_ns * 1e-9
     return RunFacts(

@@ -324,6 +324,10 @@ class PlannerParameters:
         0.3, low=0.01, high=1.0, runtime=True, group='target',
         description='Share of each period for the search for a way, 1.2 ms at most. With less the '
                     'arm sets off later, and goes longer ways.')
+    target_margin: float = parameter(
+        -1.0, low=-1.0, high=1.0, unit='m', runtime=True, group='target',
+        description='Distance kept from obstacles while a target commands, where that is less '
+                    'than clearance.margin; -1 for that. For narrow places: 0.002 is tried.')
     target_gives_way: bool = parameter(
         False, runtime=True, group='target',
         description='Whether the arm goes aside if it finds no free way for 3 s. Set it for all '

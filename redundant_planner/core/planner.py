@@ -35,7 +35,7 @@ from redundant_planner.core.robot.se3 import Pose, Poses
 from redundant_planner.core.safeguard import Admitted, Safeguard
 from redundant_planner.core.safety.barriers import room_for_rows
 from redundant_planner.core.safety.jerk import check_tick, reversal_time, Smoothing
-from redundant_planner.core.safety.own_barriers import OwnBarriers, OwnRows
+from redundant_planner.core.safety.own_barriers import OwnBarriers
 from redundant_planner.core.safety.reasons import fallbacks_of
 from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.step_result import StepResult
@@ -92,7 +92,7 @@ class Planner:
         self._smoothing = Smoothing(
             robot.n, reversal_time(robot.acceleration_max, robot.jerk_max) if filtered else 0.0)
         self._observer = JointObserver(robot.n, 0.0, 0.0)
-        self._parameters, self._margin_grew = parameters, False
+        self._parameters = parameters
         self.parameters = parameters
 
     @property
@@ -111,10 +111,9 @@ class Planner:
         constants, gains = robot_constants(robot, parameters), gains_of(parameters)
         safeguard = Safeguard(robot, parameters, constants, self._commands, own.names)
         limits = safeguard.limits
-        watch = ObstacleWatch(robot, parameters, limits, constants, gains)
+        watch = ObstacleWatch(
+            robot, parameters, limits, constants, gains, getattr(self, '_watch', None))
         # Nothing has changed where one of these refused the parameters.
-        self._margin_grew = self._margin_grew or (
-            parameters.clearance_margin > self._parameters.clearance_margin)
         self._parameters, self._constants, self._limits = parameters, constants, limits
         self._commands.order = order
         self._setup = Packed.of(Setup(
@@ -221,6 +220,11 @@ class Planner:
         """Where the arm will be by its commands at the end of the latest (n,) [rad, m]."""
         return self._observer.ahead
 
+    @property
+    def margin(self) -> float:
+        """Distance kept from obstacles: `clearance.margin`, or `target.margin` [m]."""
+        return self._watch.margin
+
     def prepare(self, scene: Scene | Sequence[Obstacle]) -> bool:
         """Do a part of the next `step` ahead of it, where there is time for that.
 
@@ -278,7 +282,7 @@ class Planner:
         last, tips = self._last, arm.tips
         due = self._commands.led(last.reference or tips)
         asked = self._commands.placed(asked, due)
-        around = self._watch.look(scene, arm, last.dq, dt)
+        around = self._watch.look(scene, arm, last.dq, dt, by_target=target is not None)
 
         # Aim: at the target, out of the course of what moves, and along the joint path ahead.
         aim = self._aiming.aim(
@@ -293,7 +297,9 @@ class Planner:
 
         # Guard: every limit and barrier, docs/safety.md.
         crowded = self._aiming.switch(aim, desired, around, self._watch)
-        own = self._own_rows(aim.start)
+        own = self._own_barriers.rows(
+            aim.start, self._limits, self._parameters.clearance_gain, self._constants.scaling,
+            self._smoothing.corner, self._observer.strayed) if self._filtered else None
         admitted = self._safeguard.admitted(
             aim, desired, self._setup.value.rows, scene, around, last, own, gently=gently,
             carefully=carefully
@@ -321,28 +327,20 @@ class Planner:
             self._commands.results(tips, error, result),
             (() if own is None else own.values) + self._own_criteria.values)
 
-    def _own_rows(self, start: Start) -> OwnRows | None:
-        """Return what the user's barriers ask of a tick; None without any."""
-        if not self._filtered or not self._own_barriers.barriers:
-            return None
-        return self._own_barriers.rows(
-            start, self._limits, self._parameters.clearance_gain, self._constants.scaling,
-            self._smoothing.corner, self._observer.strayed)
-
     def _remember(self, admitted: Admitted, path: Path, desired: Wish, dt: float) -> None:
         """Note what a tick leaves to the next."""
         result, last = admitted.result, self._last
         self._observer.commanded(self._smoothing.take(result.dq), dt)
         # Where a margin has grown and nothing moves, jerk does not give way.
         rushes = result.stage is Stage.FORCED and desired.intruded and not (
-            self._margin_grew and self._watch.fastest == 0.0)
+            self._watch.margin_grew and self._watch.fastest == 0.0)
         self._last = LastTick(
             result.dq, path.reached, path.followed,
             result.stage in (Stage.YIELDING, Stage.FORCED),
             _RUSH if rushes else last.rush - dt,
             last.share + (1.0 - math.exp(-dt / _LATELY)) * (admitted.possible - last.share),
             result.stage is Stage.SLIDING)
-        self._margin_grew = self._margin_grew and desired.intruded
+        self._watch.margin_grew = self._watch.margin_grew and desired.intruded
 
     def braked(self, dq: Array, dt: float) -> None:
         """Note that something else than the last step's velocity was commanded, to stop the arm.

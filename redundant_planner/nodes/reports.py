@@ -135,4 +135,4 @@ class Reports:
 
 def _margin_of(planner: Planner | PaperPlanner) -> float:
     """Return the margin that a planner's distances are beyond [m]; the paper's method has none."""
-    return planner.parameters.clearance_margin if isinstance(planner, Planner) else 0.0
+    return planner.margin if isinstance(planner, Planner) else 0.0

@@ -21,6 +21,7 @@ from redundant_planner.analysis.report_data import drawn_samples, page_data
 from redundant_planner.analysis.report_numbers import difference_text, number_text
 from redundant_planner.analysis.report_tables import facts_of, joint_columns, peak_columns
 from redundant_planner.analysis.report_view import view_of
+from redundant_planner.analysis.run_facts import run_facts
 from redundant_planner.io.bag_writer import BagWriter
 from redundant_planner.io.node_parameters import PlannerNodeParameters
 from redundant_planner.io.parameter_files import read_robot_parameters
@@ -145,6 +146,14 @@ def test_measured_accelerations_are_shown_without_commands_alone(waiting):
     groups = {(column.group, column.title)
               for column in peak_columns(replace(waiting, commanded=None))}
     assert groups == {('velocity', 'measured'), ('acceleration', 'measured')}
+
+
+@pytest.mark.parametrize('of_targets, least', [
+    ({}, 0.01), ({'target.margin': -1.0}, 0.01), ({'target.margin': 0.002}, 0.002),
+    ({'target.margin': 0.5}, 0.01)])
+def test_the_margin_is_the_least_that_was_to_be_kept(of_targets, least):
+    facts = run_facts({'clearance.margin': 0.01, **of_targets}, '', 0, None, None)
+    assert facts.margin == least
 
 
 def test_it_says_what_was_run(waiting, second):

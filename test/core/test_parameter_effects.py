@@ -108,6 +108,7 @@ CASES = [
     Case('target_path', 'straight', 'free', to_a_target_behind_a_ball, distance_left, '-'),
     Case('target_lag', 0.05, 0.2, after_a_moving_target, distance_left, '+'),
     Case('target_effort', 0.3, 0.05, to_a_target_behind_a_ball, time_to_the_first_motion, '+'),
+    Case('target_margin', 0.0, -1.0, to_a_target_behind_a_ball, smallest_distance, '+'),
     Case('target_gives_way', False, True, to_a_target_in_a_ball, distance_left, '+'),
     Case('posture_preferred', (), ('panda_joint3=0.5',), free, off_preferred, '-', EQ_2),
     Case('posture_preferred', (), ('panda_joint3=0.5',), free, off_preferred, '-', VARIATIONAL),

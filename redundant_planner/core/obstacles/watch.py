@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.constants import Gains, RobotConstants
+from redundant_planner.core.obstacles.clearance import link_clearance
 from redundant_planner.core.obstacles.contacts import AllowedContacts
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.nearby import (
@@ -33,24 +34,35 @@ class ObstacleWatch:
         fastest: speed of the scene's fastest obstacle [m/s].
         chose: whether this tick, or `prepare` before it, had to choose from many obstacles.
         chose_ahead: whether that was before the arm's new posture was known.
+        margin_grew: whether the arm is within the margin because that has grown.
     """
 
     def __init__(
         self, robot: Robot, parameters: PlannerParameters, limits: Limits,
-        constants: RobotConstants, gains: Gains,
+        constants: RobotConstants, gains: Gains, before: ObstacleWatch | None,
     ) -> None:
-        """Prepare for an arm; the other arguments are made of the parameters.
+        """Prepare for an arm.
+
+        Args:
+            robot, parameters: the arm and its planner's.
+            limits, constants, gains: made of these.
+            before: with other parameters.
 
         Raises:
             ParameterError: a contact is allowed to a link that the arm does not have.
         """
+        margin, of_targets = parameters.clearance_margin, parameters.target_margin
+        self._margin = margin
+        self._margin_of_targets = margin if of_targets < 0.0 else min(of_targets, margin)
         self._limits = limits
         self._constants, self._gains = constants, gains
         self._course = parameters.clearance_evasion_horizon
         self._contacts = AllowedContacts(parameters.allowed_contacts, robot)
+        self._radii = np.array([c.radius for c in robot.capsules])
         self._kept = Kept(
-            np.array([c.radius for c in robot.capsules]) + parameters.clearance_margin,
-            parameters.clearance_margin, parameters.clearance_lead, moved=robot.moved)
+            self._radii + margin, margin, parameters.clearance_lead, moved=robot.moved)
+        self.margin_grew: bool = before is not None and (
+            before.margin_grew or before._margin < margin)
         self._scene: Scene | None = None
         self.fastest = 0.0
         self.reset()
@@ -66,6 +78,17 @@ class ObstacleWatch:
         self._prepared_for: tuple[Scene, Array] | None = None
         # Velocity, the fastest obstacle, the tick's length, and the reach that follows from them.
         self._reached: tuple[Array, float, float, Array] | None = None
+        self._keep(self._margin_of_targets)
+
+    @property
+    def margin(self) -> float:
+        """What links with it keep from obstacles [m]."""
+        return self._kept.margin
+
+    def _keep(self, margin: float) -> None:
+        if margin != self.margin:
+            self._kept = self._kept._replace(radii=self._radii + margin, margin=margin)
+            self._around = self._everywhere = self._prepared_for = None
 
     def prepare(self, scene: Scene, previous: Array) -> bool:
         """Choose what holds for a while from the last tick's posture and velocity (n,) on.
@@ -86,18 +109,29 @@ class ObstacleWatch:
         self._prepared_for = scene, previous
         return self._prepared
 
-    def look(self, scene: Scene, arm: Kinematics, previous: Array, dt: float) -> Surroundings:
-        """Return the obstacles that can matter, for links with the clearance margin.
+    def look(
+        self, scene: Scene, arm: Kinematics, previous: Array, dt: float, *, by_target: bool,
+    ) -> Surroundings:
+        """Return the obstacles that can matter, for links with their margin.
+
+        A target's margin holds on after it until the arm is clear of everything by the larger one.
 
         Args:
             scene: all obstacles.
             arm: at the measured posture.
             previous: (n,) velocity of the last tick.
             dt: [s].
+            by_target: whether a target commands.
         """
+        if by_target:
+            self._keep(self._margin_of_targets)
         self.chose_ahead = self.prepare(scene, previous)
         self._last, self._prepared_for = (arm, dt), None
         around = self._surroundings(scene, arm, previous, dt)
+        if not by_target and self.margin < self._margin and _is_clear(
+                around, arm, self._margin - self.margin):
+            self._keep(self._margin)
+            around = self._surroundings(scene, arm, previous, dt)
         self.chose, self._prepared = self.chose or self._prepared, False
         return around
 
@@ -143,3 +177,13 @@ class ObstacleWatch:
 
     def _kept_from(self, scene: Scene) -> Kept:
         return self._kept._replace(contacts=self._contacts.among(scene.names))
+
+
+def _is_clear(around: Surroundings, arm: Kinematics, distance: float) -> bool:
+    """Return whether links are further from obstacles than this [m], besides their margin.
+
+    Pairs that may touch do not count.
+    """
+    found = link_clearance(around.maps, arm.segment_start, arm.segment_end).distance
+    return bool((found[~around.maps.may_touch] >= distance).all()
+                and (around.range >= distance).all())

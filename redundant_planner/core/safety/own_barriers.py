@@ -71,8 +71,8 @@ class OwnBarriers:
     def rows(
         self, start: Start, limits: Limits, gain: float, scaling: Array, corner: float,
         strayed: Array,
-    ) -> OwnRows:
-        """Return the rows of a tick.
+    ) -> OwnRows | None:
+        """Return the rows of a tick; None without any.
 
         Args:
             start: of the tick.
@@ -82,6 +82,8 @@ class OwnBarriers:
             corner: see `Smoothing` [s²].
             strayed: (n,) how far the arm is from where it is thought to be [rad, m].
         """
+        if not self.barriers:
+            return None
         arm, previous, dt = start.arm, start.previous, start.dt
         stop = stopping_time(previous, limits.acceleration_max)
         moves, rest = stop > 0.0, 0.5 * stop * previous

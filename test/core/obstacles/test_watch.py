@@ -23,15 +23,15 @@ def in_a_row(y):
 
 def test_everywhere_is_the_same_until_another_scene_is_looked_at():
     watch = ObstacleWatch(PANDA, DEFAULTS, limits_of(PANDA, DEFAULTS),
-                          robot_constants(PANDA, DEFAULTS), gains_of(DEFAULTS))
+                          robot_constants(PANDA, DEFAULTS), gains_of(DEFAULTS), None)
     arm, rest, before = PANDA.kinematics(PANDA_READY), np.zeros(PANDA.n), None
     for y in (0.6, -0.6, 0.6):
         scene = in_a_row(y)
-        around = watch.look(scene, arm, rest, 0.004)
+        around = watch.look(scene, arm, rest, 0.004, by_target=False)
         assert not around.complete
         every = watch.everywhere()
         np.testing.assert_array_equal(every.centers.T, scene.centers)
         assert every is not before
-        watch.look(scene, arm, rest, 0.004)
+        watch.look(scene, arm, rest, 0.004, by_target=False)
         assert watch.everywhere() is every
         before = every
