@@ -67,7 +67,7 @@ def test_joints_that_are_left_out_stay_and_bad_entries_are_named():
 
 
 @pytest.mark.parametrize(('reason', 'advice'), [
-    ("at the target 'hand' would be 3.0 mm too near to an obstacle", 'clearance.margin'),
+    ("at the target 'hand' would be 3.0 mm too near to an obstacle", 'target.margin'),
     ("at the target 'hand' would be 3.0 mm too near to 'link1'", 'show_robot'),
     ('no posture has the tip at the target; the speed gave way: singular posture', 'nearer place'),
     ("the speed gave way: link 'hand' near obstacle 'wall'", 'target.path: free'),

@@ -102,6 +102,20 @@ def test_bounds_of_velocity_are_viable_one_joint_at_a_time():
     assert q[0] == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize('side', [1.0, -1.0])
+def test_a_joint_that_cannot_stop_in_time_says_so_and_brakes_as_hard_as_it_may(side):
+    limits = Limits(np.array([[1.0, 1.0], [-1.0, -1.0]]), np.full(2, 2.0), np.full(2, 5.0), 0.0)
+    for q, dq, stops in ((0.5, 0.5, True), (0.95, 1.5, False), (0.99, 0.05, True)):
+        posture, previous = side * np.array([q, 0.0]), side * np.array([dq, 0.1])
+        stop = stopping_time(previous, limits.acceleration_max) + DT
+        lower, upper, kept = bounds_of_velocity(posture, previous, limits, stop, DT)
+        assert kept is stops and (lower <= upper).all()
+        # An acceleration limit gives way only where nothing else is left.
+        hardest = side * (dq - 5.0 * DT)
+        if not stops:
+            assert lower[0] == upper[0] == pytest.approx(hardest)
+
+
 def test_the_desired_velocity_passes_where_nothing_is_near():
     jacobian = np.random.default_rng(0).normal(size=(3, N))
     desired = np.full(N, 0.01)
