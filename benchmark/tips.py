@@ -123,9 +123,7 @@ def problem_of(robot: Robot, seed: int, on_a_base: bool) -> Problem:
                 if middle is not None:
                     angle = random.uniform(-np.pi, np.pi)
                     q[:2] = random.uniform(*_BASE_GOES) * np.array((np.cos(angle), np.sin(angle)))
-            arm = robot.kinematics(q)
-            lowest = min(arm.segment_start[:, 2].min(), arm.tip_positions[:, 2].min())
-            if lowest > _CLEAR and Motion.through(bodies, q[None]).to_itself().distance > _CLEAR:
+            if _is_clear(robot, bodies, q):
                 return q
 
     start = posture(None)
@@ -205,10 +203,16 @@ def _part(bodies: Bodies, chosen: list[int]) -> Bodies:
 
 def _is_good(robot: Robot, bodies: Bodies, q: Array) -> bool:
     """Return whether a posture (n,) is regular, and free of itself and of the floor."""
+    values = np.linalg.svd(robot.kinematics(q).jacobian, compute_uv=False)
+    return bool(values[-1] > _REGULAR) and _is_clear(robot, bodies, q)
+
+
+def _is_clear(robot: Robot, bodies: Bodies, q: Array) -> bool:
+    """Return whether the links that move are clear of each other and the floor at q (n,)."""
     arm = robot.kinematics(q)
-    lowest = min(arm.segment_start[:, 2].min(), arm.tip_positions[:, 2].min())
-    values = np.linalg.svd(arm.jacobian, compute_uv=False)
-    return bool(values[-1] > _REGULAR and lowest > _CLEAR
+    ends = np.vstack((arm.segment_start[robot.moved], arm.segment_end[robot.moved],
+                      arm.tip_positions))
+    return bool(ends[:, 2].min() > _CLEAR
                 and Motion.through(bodies, q[None]).to_itself().distance > _CLEAR)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,9 @@ _ASIDE, _ASIDE_SIZE = 10, 0.15
 _APART = 0.07
 # What a step to the pose costs, and a posture along the null space, in distances.
 _COST_OF_STEP, _COST_OF_POSTURE = 60, 250
+# Steps towards another posture, so many before the next look. They become smaller where they leave
+# more than this share of the distance, from the first to the last [rad, m].
+_AT_ONCE, _WORTH_IT, _NEARER, _NEAREST = 4, 0.97, 0.3, 0.02
 # Every other guess is this far from where the arm is, about [rad, m].
 _SPREAD = 0.5
 
@@ -49,6 +52,11 @@ def goal_postures(
         if found is not None:
             found = nearest_turn(found, q, space.joints.position_max)
             yield _places(space, [found])
+            nearest = found
+            for beside in nearer(space, found, poses, q):
+                nearest = beside
+                yield []
+            yield _places(space, [nearest])
             for aside in _asides(space, random):
                 beside = self_motion(
                     found, poses, aside, _ASIDE_SIZE, _ASIDE, space.robot.chain, space.joints)
@@ -92,6 +100,30 @@ def posture_at(space: FreeSpace, guess: Array, poses: Poses) -> Array | None:
     found = solve(guess, poses, space.robot.chain, space.joints)
     space.spend(_COST_OF_STEP * (1 + found.steps))
     return found.q if found.error < AT_POSE else None
+
+
+def nearer(space: FreeSpace, q: Array, poses: Poses, to: Array) -> Iterator[Array]:
+    """Yield postures (n,) with tips at poses, each nearer to another one than those before.
+
+    The null space leads there. The last one is as near as it gets.
+
+    Args:
+        space: where the arm may be.
+        q: (n,) with the tips at the poses, where it begins.
+        poses: of the tips.
+        to: (n,) the other posture.
+    """
+    size, nearest = _NEARER, float(space.distance(q, to))
+    while size >= _NEAREST:
+        beside = self_motion(q, poses, to - q, size, _AT_ONCE, space.robot.chain, space.joints)
+        space.spend(_COST_OF_POSTURE * _AT_ONCE)
+        apart = space.distance(beside, to)
+        best = float(apart.min(initial=np.inf))
+        if best > _WORTH_IT * nearest:
+            size *= 0.5
+        if best < nearest:
+            q, nearest = beside[int(apart.argmin())], best
+        yield q
 
 
 def _asides(space: FreeSpace, random: np.random.Generator) -> tuple[Array, ...]:
