@@ -54,6 +54,8 @@ def run_facts(
         tick_median, tick_longest: of the diagnostics [s].
     """
     method, margin = values.get('method'), number_of(values, 'clearance.margin', -1.0, 1e3)
+    if values.get('target.margin') in (0, 0.0):
+        margin = 0.0
     margin = min(margin, number_of(values, 'target.margin', margin, 1e3))
     rate = number_of(values, 'rate', 0.0, 1e6)
     begin = origin_ns * 1e-9

@@ -228,6 +228,7 @@ class Aiming:
             Where the tips should be by now; None for where they are.
         """
         self._way.missed(seconds, by_joints=self._by_joints)
+        self._back.missed(last.followed, seconds)
         return self._along_path.went_on(last, seconds)
 
     def progress(self, target: Target, arm: Kinematics) -> Progress:

@@ -326,8 +326,8 @@ class PlannerParameters:
                     'arm sets off later, and goes longer ways.')
     target_margin: float = parameter(
         -1.0, low=-1.0, high=1.0, unit='m', runtime=True, group='target',
-        description='Distance kept from obstacles while a target commands, where that is less '
-                    'than clearance.margin; -1 for that. For narrow places: 0.002 is tried.')
+        description='Distance kept from obstacles on the way to a target, if that is less than '
+                    'clearance.margin; with -1 that one counts. 0.002 for narrow places.')
     target_gives_way: bool = parameter(
         False, runtime=True, group='target',
         description='Whether the arm goes aside if it finds no free way for 3 s. Set it for all '

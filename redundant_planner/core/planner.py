@@ -377,7 +377,7 @@ class Planner:
         Raises:
             StateError: that is no whole number, or below 0.
         """
-        if not isinstance(ticks, int) or ticks < 0:
+        if not isinstance(ticks, (int, np.integer)) or ticks < 0:
             raise StateError(f'ticks is {shown(ticks)}; it takes a whole number, 0 or more')
         if ticks:
             self._last = self._last._replace(reference=self._aiming.missed(

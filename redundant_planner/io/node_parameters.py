@@ -40,6 +40,11 @@ class PlannerNodeParameters:
         0.02, low=0.0, high=1.0, unit='rad, m', runtime=True, group='follow',
         description='How far a joint may stay behind its commands, besides known delays; 0 for '
                     'any. Too small, and a load or play stops the arm.')
+    drive_goes_on: bool = parameter(
+        True, runtime=True, group='drive',
+        description="Whether the arm goes on by its last command where none follows in time, as "
+                    "one that takes joint_command's velocities does. false if it takes its "
+                    'positions.')
     enable_stamped_cmd_vel: bool = parameter(
         False, description='cmd_vel is a TwistStamped, with its frame (base or tip) and time.')
     obstacle_topics: tuple[str, ...] = parameter(

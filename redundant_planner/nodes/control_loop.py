@@ -45,7 +45,7 @@ Array = npt.NDArray[np.float64]
 _JUMP = 0.1
 # So long an arm that takes velocities is taken to go on by one that none follows: drives may time
 # out. Beyond that, where it is measured counts [s].
-_GOES_ON = 0.1
+_GOES_ON = 0.05
 
 
 class ControlLoop:
@@ -202,7 +202,8 @@ class ControlLoop:
             self._recover()
         if not self.at_rest:
             self._missed = int(min(
-                self.pacer.missed, self.output.goes_on, _GOES_ON // self._period))
+                self.pacer.missed, self.output.goes_on, _GOES_ON // self._period
+            )) if self.settings.drive_goes_on else 0
             self.planner.missed(self._missed)
         self._see_whether_it_follows()
         decision = self.supervisor.decide(

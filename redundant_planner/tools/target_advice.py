@@ -9,7 +9,7 @@ _ADVICE = {
     'no posture has the tip': 'a nearer place, or another orientation (--rpy)',
     'out of its cone': 'a tip that leans less (--rpy), or a wider cone.angle',
     'too near to an obstacle': 'a place further from it, another orientation (--rpy) or a '
-                               'smaller target.margin, or take it away',
+                               'target.margin of 0.002, or take it away',
     'too near to': 'another place or orientation (--rpy); look at the capsules with show_robot if '
                    'these links have more room in reality',
     'no way to the target': 'a place in between first, or take away what is in the way',

@@ -150,7 +150,8 @@ def test_measured_accelerations_are_shown_without_commands_alone(waiting):
 
 @pytest.mark.parametrize('of_targets, least', [
     ({}, 0.01), ({'target.margin': -1.0}, 0.01), ({'target.margin': 0.002}, 0.002),
-    ({'target.margin': 0.5}, 0.01)])
+    ({'target.margin': 0.5}, 0.01),
+    ({'target.margin': 0.0}, None)])
 def test_the_margin_is_the_least_that_was_to_be_kept(of_targets, least):
     facts = run_facts({'clearance.margin': 0.01, **of_targets}, '', 0, None, None)
     assert facts.margin == least

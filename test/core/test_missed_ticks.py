@@ -81,16 +81,68 @@ def test_a_free_way_goes_on(seed):
     assert seconds < 0.8 * longer and beyond < 0.2
 
 
-def test_a_chunk_does_not_fall_behind():
-    start = PANDA.kinematics(PANDA_READY).tips.first
+def in_two_seconds(kind):
+    """A chunk of poses, joints or one tip's poses, and what commands it."""
+    if kind == 'joints':
+        return PANDA, PANDA_READY, Chunk([0.0, 1.0, 2.0], [
+            PANDA_READY + share * np.array([0.3, 0.1, 0.0, 0.2, 0.0, 0.1, 0.2])
+            for share in (0.0, 0.5, 1.0)]), np.zeros(6)
+    robot, q = (PANDA, PANDA_READY) if kind == 'poses' else (BODY, BODY_START)
+    start = robot.kinematics(q).tips.first
     chunk = Chunk([0.0, 1.0, 2.0], [
-        Pose(start.position + np.array([0.0, 0.1 * share, 0.05 * share]), start.rotation)
+        Pose(start.position + np.array([0.0, 0.05 * share, 0.05 * share]), start.rotation)
         for share in (0.0, 0.5, 1.0)])
-    *_, (_, result) = run(Planner(PANDA), PANDA_READY, missed_ticks(7, 400),
-                          {'twist': np.zeros(6), 'target': chunk},
-                          until=lambda result: result.progress.state is TargetState.REACHED)
-    assert result.progress.state is TargetState.REACHED
-    assert result.progress.behind < 0.05
+    if kind == 'poses':
+        return robot, q, chunk, np.zeros(6)
+    return robot, q, {robot.tips[0]: chunk}, np.zeros((2, 6))
+
+
+@pytest.mark.parametrize('kind', ['joints', 'poses', 'tip'])
+def test_a_chunk_does_not_fall_behind(kind):
+    robot, q, target, twist = in_two_seconds(kind)
+    missed = missed_ticks(7, 700)
+    way = list(run(Planner(robot), q, missed, {'twist': twist, 'target': target},
+                   until=lambda result: result.progress.state is TargetState.REACHED))
+    assert way[-1][1].progress.state is TargetState.REACHED
+    elapsed = DT * (len(way) + missed[:len(way)].sum())
+    assert 1.9 < elapsed < 2.3
+    assert way[-1][1].progress.behind < 0.05
+
+
+@pytest.mark.parametrize('kind', ['joints', 'poses', 'tip'])
+@pytest.mark.parametrize('change', ['parameters', 'hold'])
+def test_ticks_may_be_missed_after_a_change_along_a_chunk(kind, change):
+    robot, q, target, twist = in_two_seconds(kind)
+    planner = Planner(robot)
+    for i in range(60):
+        result = planner.step(q, twist, [], DT, target=target)
+        if i % 20 == 10:
+            if change == 'hold':
+                planner.hold([])
+            else:
+                planner.parameters = planner.parameters
+        planner.missed(2)
+        q = q + 3 * DT * result.dq
+
+
+def test_a_chunk_that_waits_for_its_time_begins_then():
+    start = PANDA.kinematics(PANDA_READY).tips.first
+
+    def chunk(late, up):
+        return Chunk([0.0, 2.0], [start, Pose(start.position + np.array([0.0, 0.0, up]),
+                                              start.rotation)], late=late)
+
+    first, second = chunk(0.0, 1e-6), chunk(-0.5, 0.1)
+    planner, q, elapsed, missed = Planner(PANDA), PANDA_READY, 0.0, missed_ticks(3, 400)
+    result = planner.step(q, np.zeros(6), [], DT, target=first)
+    for gap in missed.tolist():
+        planner.missed(gap)
+        q = q + (gap + 1) * DT * result.dq
+        elapsed += (gap + 1) * DT
+        result = planner.step(q, np.zeros(6), [], DT, target=second)
+        if q is not PANDA_READY and PANDA.kinematics(q).tip_position[2] > start.position[2] + 2e-3:
+            break
+    assert 0.5 < elapsed < 0.9
 
 
 def lost(seed, *, told):

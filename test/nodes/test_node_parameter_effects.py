@@ -361,7 +361,7 @@ NAMES_SOMETHING = {
         'link_shapes'},
     PlannerNodeParameters: {
         'rate', 'enable_stamped_cmd_vel', 'obstacle_topics', 'outputs', 'publish_ticks',
-        'thread_priority', 'static_obstacles'},
+        'thread_priority', 'static_obstacles', 'drive_goes_on'},
     FakeHardwareParameters: {
         'rate', 'initial_joints', 'initial_positions', 'lag', 'noise', 'wrap_continuous',
         'thread_priority'},

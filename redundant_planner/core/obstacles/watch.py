@@ -21,7 +21,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.safety.limits import Limits
+from redundant_planner.core.safety.limits import barrier_rate, Limits, stopping_time
 from redundant_planner.core.safety.pace import reach
 
 Array = npt.NDArray[np.float64]
@@ -34,7 +34,8 @@ class ObstacleWatch:
         fastest: speed of the scene's fastest obstacle [m/s].
         chose: whether this tick, or `prepare` before it, had to choose from many obstacles.
         chose_ahead: whether that was before the arm's new posture was known.
-        margin_grew: whether the arm is within the margin because that has grown.
+        margin: distance that links keep from obstacles [m].
+        margin_grew: whether the arm is within it because it has grown.
     """
 
     def __init__(
@@ -59,18 +60,22 @@ class ObstacleWatch:
         self._course = parameters.clearance_evasion_horizon
         self._contacts = AllowedContacts(parameters.allowed_contacts, robot)
         self._radii = np.array([c.radius for c in robot.capsules])
-        self._kept = Kept(
-            self._radii + margin, margin, parameters.clearance_lead, moved=robot.moved)
-        self.margin_grew: bool = before is not None and (
-            before.margin_grew or before._margin < margin)
+        self._lead, self._moved = parameters.clearance_lead, robot.moved
+        self._gain = parameters.clearance_gain
         self._scene: Scene | None = None
-        self.fastest = 0.0
+        self.fastest, self.margin_grew = 0.0, False
+        self.margin, self._begins = margin, True  # whether no tick has been looked at yet
         self.reset()
+        if before is not None:
+            self._begins = before._begins
+            self.margin_grew = before.margin_grew or before._margin < margin
+            if before.margin < before._margin:
+                self.margin = min(max(before.margin, self._margin_of_targets), margin)
 
     def reset(self) -> None:
         """Forget what was chosen, and for which posture."""
-        self._around: Surroundings | None = None
-        self._everywhere: tuple[Scene, InflatedObstacles] | None = None
+        self._arounds: dict[float, Surroundings] = {}  # by the margin
+        self._everywhere: tuple[Scene, float, InflatedObstacles] | None = None
         self.chose = self.chose_ahead = self._prepared = False
         # Of the last tick: where the arm was, and the tick's length.
         self._last: tuple[Kinematics, float] | None = None
@@ -78,17 +83,32 @@ class ObstacleWatch:
         self._prepared_for: tuple[Scene, Array] | None = None
         # Velocity, the fastest obstacle, the tick's length, and the reach that follows from them.
         self._reached: tuple[Array, float, float, Array] | None = None
-        self._keep(self._margin_of_targets)
+        self.margin, self._begins = self._margin, True
 
-    @property
-    def margin(self) -> float:
-        """What links with it keep from obstacles [m]."""
-        return self._kept.margin
-
-    def _keep(self, margin: float) -> None:
-        if margin != self.margin:
-            self._kept = self._kept._replace(radii=self._radii + margin, margin=margin)
-            self._around = self._everywhere = self._prepared_for = None
+    def _choose_margin(
+        self, scene: Scene, arm: Kinematics, previous: Array, dt: float, *, by_target: bool,
+    ) -> None:
+        """Choose the margin that holds; see `look`."""
+        begins, self._begins = self._begins, False
+        before, largest, of_targets = self.margin, self._margin, self._margin_of_targets
+        if by_target:
+            self.margin = of_targets
+        elif of_targets < largest and (begins or before < largest):
+            around = self._surroundings(scene, arm, previous, dt, largest)
+            room = _room(around, arm)
+            least = float(room.min(initial=np.inf))
+            if begins or self._last is None:
+                self.margin = min(max(largest + least, of_targets), largest)
+            elif least >= 0.0:
+                # Coming nearer at this speed it need not brake for it.
+                before_that, ago = self._last
+                speed = (_room(around, before_that) - room) / ago
+                stop = stopping_time(previous, self._limits.acceleration_max) + dt
+                if (speed <= barrier_rate(self._gain, stop, dt) * room).all():
+                    self.margin = largest
+        self.margin_grew = self.margin_grew or self.margin > before
+        if self.margin != before:
+            self._prepared_for = None
 
     def prepare(self, scene: Scene, previous: Array) -> bool:
         """Choose what holds for a while from the last tick's posture and velocity (n,) on.
@@ -104,7 +124,7 @@ class ObstacleWatch:
                 done_for and done_for[0] is scene and done_for[1] is previous):
             return self._prepared
         arm, dt = self._last
-        self._surroundings(scene, arm, previous, dt, to_spare=True)
+        self._surroundings(scene, arm, previous, dt, self.margin, to_spare=True)
         self._prepared = self._prepared or self.chose
         self._prepared_for = scene, previous
         return self._prepared
@@ -114,7 +134,9 @@ class ObstacleWatch:
     ) -> Surroundings:
         """Return the obstacles that can matter, for links with their margin.
 
-        A target's margin holds on after it until the arm is clear of everything by the larger one.
+        A target's margin holds on after it until the larger one asks nothing of the arm: it is
+        clear of everything by that, and need not brake for it. An arm that begins within the
+        larger one keeps what it has.
 
         Args:
             scene: all obstacles.
@@ -123,15 +145,10 @@ class ObstacleWatch:
             dt: [s].
             by_target: whether a target commands.
         """
-        if by_target:
-            self._keep(self._margin_of_targets)
         self.chose_ahead = self.prepare(scene, previous)
+        self._choose_margin(scene, arm, previous, dt, by_target=by_target)
         self._last, self._prepared_for = (arm, dt), None
-        around = self._surroundings(scene, arm, previous, dt)
-        if not by_target and self.margin < self._margin and _is_clear(
-                around, arm, self._margin - self.margin):
-            self._keep(self._margin)
-            around = self._surroundings(scene, arm, previous, dt)
+        around = self._surroundings(scene, arm, previous, dt, self.margin)
         self.chose, self._prepared = self.chose or self._prepared, False
         return around
 
@@ -140,31 +157,33 @@ class ObstacleWatch:
 
         The same object while nothing changes.
         """
-        around = self._around
-        assert around is not None
+        around = self._arounds[self.margin]
         if around.complete:
             return around.maps
-        if self._everywhere is None or self._everywhere[0] is not around.scene:
-            scene = around.scene
+        known, scene = self._everywhere, around.scene
+        if known is None or known[0] is not scene or known[1] != self.margin:
             chosen = around.near if len(scene.names) > MOST_NEAR else np.arange(len(scene.names))
-            self._everywhere = scene, self._kept_from(scene).inflated(scene, chosen)
-        return self._everywhere[1]
+            known = self._everywhere = scene, self.margin, self._kept_from(
+                scene, self.margin).inflated(scene, chosen)
+        return known[2]
 
     def _surroundings(
-        self, scene: Scene, arm: Kinematics, previous: Array, dt: float, *,
+        self, scene: Scene, arm: Kinematics, previous: Array, dt: float, margin: float, *,
         to_spare: bool = False,
     ) -> Surroundings:
-        around, self.chose = self._around, False
+        around, self.chose = self._arounds.get(margin), False
         if around is not None and around.scene is scene and around.complete:
             return around
+        kept = self._kept_from(scene, margin)
         if len(scene.names) < FEW:
-            self._around = everything(scene, self._kept_from(scene), arm)
-            return self._around
-        near = self._reach(previous, dt)
-        if around is None or not around.hold(scene, arm, near, to_spare=to_spare):
+            around = everything(scene, kept, arm)
+        else:
+            near = self._reach(previous, dt)
+            if around is not None and around.hold(scene, arm, near, to_spare=to_spare):
+                return around
             self.chose = True
-            self._around = around = surroundings(
-                scene, self._kept_from(scene), arm, near, self._course)
+            around = surroundings(scene, kept, arm, near, self._course)
+        self._arounds[margin] = around
         return around
 
     def _reach(self, previous: Array, dt: float) -> Array:
@@ -175,15 +194,15 @@ class ObstacleWatch:
                 previous, self.fastest, self._limits, self._constants, self._gains, dt)
         return known[3]
 
-    def _kept_from(self, scene: Scene) -> Kept:
-        return self._kept._replace(contacts=self._contacts.among(scene.names))
+    def _kept_from(self, scene: Scene, margin: float) -> Kept:
+        return Kept(self._radii + margin, margin, self._lead,
+                    self._contacts.among(scene.names), self._moved)
 
 
-def _is_clear(around: Surroundings, arm: Kinematics, distance: float) -> bool:
-    """Return whether links are further from obstacles than this [m], besides their margin.
+def _room(around: Surroundings, arm: Kinematics) -> Array:
+    """Return how much further than their margin links are from obstacles (…,) [m].
 
-    Pairs that may touch do not count.
+    Pairs that may touch are left out, and links that no joint moves.
     """
     found = link_clearance(around.maps, arm.segment_start, arm.segment_end).distance
-    return bool((found[~around.maps.may_touch] >= distance).all()
-                and (around.range >= distance).all())
+    return np.asarray(found[around.maps.moved[:, None] & ~around.maps.may_touch])

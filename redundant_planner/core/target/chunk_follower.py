@@ -150,9 +150,11 @@ class ChunkFollower:
 
     def missed(self, seconds: float) -> None:
         """Note that ticks did not take place, in which the arm went on at its pace."""
-        assert self._way is not None
-        self._clock += seconds * (self._s < self._way.end)
-        self.went_on(0.0, 1.0, seconds)
+        if self._given is not self._followed:
+            self._waiting -= seconds
+        if self._way is not None:  # it has begun since parameters changed
+            self._clock += seconds * (self._s < self._way.end)
+            self.went_on(0.0, 1.0, seconds)
 
     def progress(self, chunk: Chunk, arm: Kinematics) -> Progress:
         """Return how far the arm has come, from where it is."""

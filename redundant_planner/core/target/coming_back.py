@@ -51,6 +51,12 @@ class ComingBack:
         tips = len(self._robot.tips)
         return TipGoals(self._home, (None,) * tips) if tips > 1 else self._home.first
 
+    def missed(self, followed: Array, seconds: float) -> None:
+        """Note that ticks did not take place, in which the path was followed as before (m,)."""
+        if self._home is not None and not self._goes:
+            self._home = followed_poses(
+                self._home, followed, self._constants.rows, self._constants.in_tool, seconds)
+
     def note(
         self, reference: Poses, tips: Poses, followed: Array, dt: float, *, leaving: bool,
         lost: bool,

@@ -52,11 +52,13 @@ def goal_postures(
         if found is not None:
             found = nearest_turn(found, q, space.joints.position_max)
             yield _places(space, [found])
-            nearest = found
-            for beside in nearer(space, found, poses, q):
-                nearest = beside
-                yield []
-            yield _places(space, [nearest])
+            if space.robot.n > space.robot.m:
+                nearest = found
+                for beside in nearer(space, found, poses, q):
+                    nearest = beside
+                    yield []
+                if np.abs(nearest - found).max() > _APART:
+                    yield _places(space, [nearest])
             for aside in _asides(space, random):
                 beside = self_motion(
                     found, poses, aside, _ASIDE_SIZE, _ASIDE, space.robot.chain, space.joints)

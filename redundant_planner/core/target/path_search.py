@@ -162,9 +162,7 @@ class PathSearch:
         """
         self._start = self._space.begin_at(rest[0])
         self._blocked.clear()
-        last = min(self._goals, key=lambda goal: float(np.abs(goal.q - rest[-1]).max()))
-        between = rest[1:-1]
-        self.way = [self._start, *_places(between, self._space.rooms(between)), last]
+        self.way = [self._start, *_places(rest[1:], self._space.rooms(rest[1:]))]
         self.straight = False
         self._price = self._price_of(self.way, self.room)
 
@@ -327,7 +325,9 @@ class PathSearch:
             before = self.length(way)
             if len(way) > 2:
                 tight = yield from pulled_tight(self._space, way, room)
-                way = way if tight is None else tight
+                if tight is not None:
+                    way = tight
+                    self._note(way, room)
             way = yield from self._with_nearer_goal(way, room)
             if self.length(way) > _HARDLY_SHORTER * before:
                 break
@@ -336,7 +336,7 @@ class PathSearch:
 
     def _with_nearer_goal(self, way: Way, room: float) -> Generator[None, None, Way]:
         """Return a way to a goal nearer by, along the null space of its own."""
-        if self._poses is None:
+        if self._poses is None or self._space.robot.n <= self._space.robot.m:
             return way
         space, before = self._space, way[-2]
         q = way[-1].q

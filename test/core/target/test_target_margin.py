@@ -15,6 +15,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.se3 import Pose
+from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.target.progress import TargetState
 
 PANDA, DT = make_panda(), 0.004
@@ -73,13 +74,55 @@ def test_the_arm_leaves_on_its_path_and_keeps_the_larger_margin_once_it_is_out(r
         now = distance(q, scene)
         assert np.abs(result.path_error[:3]).max() < 1e-4
         assert now > nearest - 1e-4
-        # The margin grows once, where nothing is within it.
-        assert planner.margin == (0.002 if now < MARGIN - 1e-3 else planner.margin)
+        # The margin grows once, where nothing is within it; where the arm begins it is its room.
+        assert planner.margin < max(now, 0.003) + 1e-4
     assert planner.margin == MARGIN
     # Down again by a twist, the larger one holds.
     for _ in range(600):
         q = q + DT * planner.step(q, -up, scene, DT).dq
     assert planner.margin == MARGIN and distance(q, scene) > MARGIN - 1e-4
+
+
+@pytest.mark.parametrize('room', [0.001, 0.01])
+def test_an_arm_on_its_way_to_something_is_not_thrown_back(room):
+    """Where a target ends as far away as the larger margin asks, at the smaller one's speed."""
+    margin = 0.05
+    planner = Planner(PANDA, PlannerParameters(clearance_margin=margin, target_margin=0.002,
+                                               target_path='straight'))
+    wall = Scene.of([Obstacle.box('wall', TIP.position + (0.45, 0.0, 0.0), (0.4, 2.0, 2.0))])
+    target, q = Pose(TIP.position + np.array([0.22, 0.0, 0.0]), TIP.rotation), PANDA_READY
+    while distance(q, wall) > margin + room:
+        q = q + DT * planner.step(q, np.zeros(6), wall, DT, target=target).dq
+    for _ in range(300):
+        result = planner.step(q, np.zeros(6), wall, DT)
+        q = q + DT * result.dq
+        assert np.abs(result.path_error[:3]).max() < 1e-3
+        assert result.stage not in (Stage.YIELDING, Stage.FORCED)
+    assert distance(q, wall) > 0.002
+
+
+def test_an_arm_that_had_no_target_comes_no_nearer_than_it_is():
+    """It stands a hair within the larger margin, as noise may have it."""
+    planner = Planner(PANDA, PlannerParameters(clearance_margin=0.05, target_margin=0.002))
+    wall = Scene.of([Obstacle.box('wall', TIP.position + (0.45, 0.0, 0.0), (0.4, 2.0, 2.0))])
+    q, towards = PANDA_READY, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for i in range(1500):
+        q = q + DT * planner.step(q, towards, wall, DT).dq
+        if i == 900:
+            q = q + 1e-5 * np.array([0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+            planner.reset()
+        if i == 1200:
+            planner.hold([])
+    assert distance(q, wall) > 0.05 - 2e-4
+
+
+def test_among_many_obstacles_the_larger_margin_comes_back_too():
+    far = [Obstacle(f'{i}', np.array([2.5, 0.1 * i, 0.5]), np.full(3, 0.03)) for i in range(40)]
+    planner = Planner(PANDA, PlannerParameters(clearance_margin=0.5, target_margin=0.1))
+    planner.step(PANDA_READY, np.zeros(6), far, DT, target=TARGET)
+    assert planner.margin == 0.1
+    planner.step(PANDA_READY, np.zeros(6), far, DT)
+    assert planner.margin == 0.5
 
 
 @pytest.mark.parametrize('given, kept', [(-1.0, MARGIN), (0.005, 0.005), (0.05, MARGIN)])
@@ -96,4 +139,4 @@ def test_parameters_that_change_leave_an_arm_where_it_is_in_peace():
     _, q, _ = into(planner, scene)
     planner.parameters = replace(NARROW, clearance_gain=4.0)
     result = planner.step(q, np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0]), scene, DT)
-    assert planner.margin == 0.002 and not result.reason.startswith('the arm leaves')
+    assert planner.margin < MARGIN and not result.reason.startswith('the arm leaves')
