@@ -24,7 +24,7 @@ _APART = 0.07
 _COST_OF_STEP, _COST_OF_POSTURE = 60, 250
 # Steps towards another posture, so many before the next look. They become smaller where they leave
 # more than this share of the distance, from the first to the last [rad, m].
-_AT_ONCE, _WORTH_IT, _NEARER, _NEAREST = 4, 0.97, 0.3, 0.02
+_AT_ONCE, _WORTH_IT, _NEARER, _NEAREST = 4, 0.99, 0.3, 0.02
 # Every other guess is this far from where the arm is, about [rad, m].
 _SPREAD = 0.5
 

@@ -54,7 +54,7 @@ def test_it_keeps_the_pose_and_no_way_along_the_null_space_leads_nearer(seed, ro
         inside = (np.abs(beside - space.joints.position_min) > 1e-3).all(axis=1) & (
             np.abs(beside - space.joints.position_max) > 1e-3).all(axis=1)
         gained = best - space.distance(beside[inside], to)
-        assert (gained < 0.02).all()
+        assert (gained < 0.01 + 0.02 * best).all()
 
 
 def test_a_way_around_something_ends_where_it_is_shortest():
