@@ -98,6 +98,11 @@ class Aiming:
         self._back.reset()
         self._by_joints = False
 
+    @property
+    def guided(self) -> float:
+        """Share of the null-space motion that follows the joint path ahead."""
+        return self._look_ahead.guided
+
     def catch_up(self, *, chose: bool) -> bool:
         """Improve the joint paths ahead, where that is due.
 

@@ -221,6 +221,11 @@ class Planner:
         return self._observer.ahead
 
     @property
+    def guided(self) -> float:
+        """Share of the null-space motion that follows the joint path ahead."""
+        return self._aiming.guided
+
+    @property
     def margin(self) -> float:
         """Distance kept from obstacles: `clearance.margin`, or `target.margin` [m]."""
         return self._watch.margin
@@ -368,8 +373,7 @@ class Planner:
     def missed(self, ticks: int) -> None:
         """Note that ticks did not take place, and the arm went on by its latest velocity.
 
-        Its path and its way have gone on with it. An arm that takes positions misses none: it
-        waits.
+        Its path and its way have gone on with it. One that takes positions waits instead.
 
         Args:
             ticks: how many, each as long as the latest was to be.
