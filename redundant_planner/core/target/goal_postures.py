@@ -52,13 +52,6 @@ def goal_postures(
         if found is not None:
             found = nearest_turn(found, q, space.joints.position_max)
             yield _places(space, [found])
-            if space.robot.n > space.robot.m:
-                nearest = found
-                for beside in nearer(space, found, poses, q):
-                    nearest = beside
-                    yield []
-                if np.abs(nearest - found).max() > _APART:
-                    yield _places(space, [nearest])
             for aside in _asides(space, random):
                 beside = self_motion(
                     found, poses, aside, _ASIDE_SIZE, _ASIDE, space.robot.chain, space.joints)
@@ -67,6 +60,15 @@ def goal_postures(
                 yield []
                 for first in range(0, len(postures), space.at_once):
                     yield _places(space, postures[first:first + space.at_once])
+            # Ways aside are random: few of them spare those joints that cost more than others.
+            if space.robot.n > space.robot.m and np.ptp(space.joints.scaling) > 0.0:
+                known.others_of(found[None])
+                nearest = found
+                for beside in nearer(space, found, poses, q):
+                    nearest = beside
+                    yield []
+                for other in known.others_of(nearest[None]):
+                    yield _places(space, [other])
         guesses += 1
         guess = (random.uniform(low, high) if guesses % 2 else
                  np.clip(random.normal(q, _SPREAD), low, high))
