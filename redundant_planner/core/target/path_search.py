@@ -20,7 +20,7 @@ from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.target.elastic_band import pulled_tight
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.goal import Goal
-from redundant_planner.core.target.goal_postures import goal_postures, nearer, only_posture
+from redundant_planner.core.target.goal_postures import goal_postures, only_posture
 from redundant_planner.core.target.joint_curve import lengths_along
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
 from redundant_planner.core.target.straight_motion import Motion, new_motion
@@ -74,9 +74,6 @@ _MOST_NODES, _WORK = 10_000, 1_000_000
 # Attempts at a shortcut and how many in vain end them, of any way and of one that may become the
 # best: one that costs less than this factor of it by then.
 _ROUGHLY, _THOROUGHLY, _PROMISES = (60, 20), (300, 60), 1.1
-# How often a way is pulled tight and its goal brought nearer in turn, at most, and which share of
-# the length has to be gained for the next time.
-_TIMES_TIGHT, _HARDLY_SHORTER = 4, 0.99
 # So many of them at once where the user has barriers.
 _CUTS_AT_ONCE = 5
 
@@ -114,7 +111,6 @@ class PathSearch:
         self._trees: Trees | None = None  # the latest, of which the first begins at the start
         self._space, self._start, self._gives_way = space, space.begin_at(start), gives_way
         self._goals: list[Place] = []
-        self._poses = None if isinstance(target, np.ndarray) else stacked(target)
         self._tightest: Array | None = None  # room (k,) of the goal that is nearly free
         self._random = np.random.default_rng(seed)
         self._postures = (
@@ -144,7 +140,7 @@ class PathSearch:
             way = yield from self._connected(room)
             if way is not None:
                 way = yield from self._cut_short(way, room, *_ROUGHLY)
-                way = yield from self._tight(way, room, 1)
+                way = yield from self._tight(way, room)
                 self.shortened = True
                 if self._price_of(way, room) < _PROMISES * self._price:
                     yield from self._improved(way, room)
@@ -162,7 +158,9 @@ class PathSearch:
         """
         self._start = self._space.begin_at(rest[0])
         self._blocked.clear()
-        self.way = [self._start, *_places(rest[1:], self._space.rooms(rest[1:]))]
+        last = min(self._goals, key=lambda goal: float(np.abs(goal.q - rest[-1]).max()))
+        between = rest[1:-1]
+        self.way = [self._start, *_places(between, self._space.rooms(between)), last]
         self.straight = False
         self._price = self._price_of(self.way, self.room)
 
@@ -312,46 +310,17 @@ class PathSearch:
     def _improved(self, way: Way, room: float) -> Generator[None, None, None]:
         """Make a way shorter that may be the best."""
         way = yield from self._cut_short(way, room, *_THOROUGHLY)
-        yield from self._tight(way, room, _TIMES_TIGHT)
+        yield from self._tight(way, room)
 
-    def _tight(self, way: Way, room: float, times: int) -> Generator[None, None, Way]:
-        """Return a way pulled tight, where it has as much room, to a goal nearer by.
-
-        Args:
-            way, room: what is known.
-            times: how often both are done in turn, at most.
-        """
-        for _ in range(times):
-            before = self.length(way)
-            if len(way) > 2:
-                tight = yield from pulled_tight(self._space, way, room)
-                if tight is not None:
-                    way = tight
-                    self._note(way, room)
-            way = yield from self._with_nearer_goal(way, room)
-            if self.length(way) > _HARDLY_SHORTER * before:
-                break
-        self._note(way, room)
-        return way
-
-    def _with_nearer_goal(self, way: Way, room: float) -> Generator[None, None, Way]:
-        """Return a way to a goal nearer by, along the null space of its own."""
-        if self._poses is None or self._space.robot.n <= self._space.robot.m:
+    def _tight(self, way: Way, room: float) -> Generator[None, None, Way]:
+        """Return a way pulled tight, if it then has as much room."""
+        if len(way) == 2:
             return way
-        space, before = self._space, way[-2]
-        q = way[-1].q
-        for beside in nearer(space, q, self._poses, before.q):
-            q = beside
-            yield
-        goal = space.place(q)
-        if (goal.room < _AT_GOAL).any() or not (
-                yield from space.is_free_between(before, goal, space.asked(room))):
+        tight = yield from pulled_tight(self._space, way, room)
+        if tight is None:
             return way
-        shorter = [*way[:-1], goal]
-        if self.length(shorter) >= self.length(way) or not (
-                yield from space.keeps_rules(shorter)):
-            return way
-        return shorter
+        self._note(tight, room)
+        return tight
 
     def _cut_short(
         self, way: Way, room: float, attempts: int, most_in_vain: int,

@@ -9,15 +9,13 @@ import numpy as np
 from redundant_planner.core.constants import gains_of, limits_of, robot_constants
 from redundant_planner.core.horizon.least_norm_path import path_joints
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
-from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.planner import Planner
-from redundant_planner.core.robot.se3 import Pose, Poses
+from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal_postures import nearer, off_poses
 from redundant_planner.core.target.inverse_kinematics import self_motion
-from redundant_planner.core.target.path_search import PathSearch
 from redundant_planner.core.target.progress import TargetState
 from redundant_planner.io.robot_files import load_robot
 
@@ -55,23 +53,6 @@ def test_it_keeps_the_pose_and_no_way_along_the_null_space_leads_nearer(seed, ro
             np.abs(beside - space.joints.position_max) > 1e-3).all(axis=1)
         gained = best - space.distance(beside[inside], to)
         assert (gained < 0.01 + 0.02 * best).all()
-
-
-def test_a_way_around_something_ends_where_it_is_shortest():
-    """With the goal that trees have found, the way would be longer."""
-    wall = Obstacle.box('wall', (0.45, 0.0, 0.3), (0.3, 0.04, 0.9))
-    start = np.array([-0.8, 0.4, 0.0, -1.9, 0.0, 2.3, 0.8])
-    pose = PANDA.kinematics(np.array([0.8, 0.4, 0.0, -1.9, 0.0, 2.3, 0.8])).tips.first
-    space = space_of(PANDA, [wall])
-    search = PathSearch(space, start, pose, gives_way=False)
-    work = search.work()
-    while search.rounds < 3:
-        next(work)
-    before, goal = search.way[-2], search.way[-1]
-    assert off_poses(PANDA, goal.q, Poses.of(pose)) < 2e-5
-    assert (space.rooms(goal.q[None]) >= 0.0).all()
-    *_, best = nearer(space, goal.q, Poses.of(pose), before.q)
-    assert space.distance(goal.q, before.q) - space.distance(best, before.q) < 0.05
 
 
 def base_way(away):
