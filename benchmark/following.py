@@ -37,6 +37,8 @@ from redundant_planner.core.robot.model import Robot
 Array = npt.NDArray[np.float64]
 
 _READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+# Every joint goes another way, so that swapped ones show.
+_ASIDE = np.array([1.0, -0.6, 0.8, 0.4, 1.0, 0.7, -0.9])
 _FORWARD = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
 _RATE = 250
 _LISTENS = 1.5  # until the planner moves the arm for the first time [s]
@@ -204,7 +206,7 @@ def _by_twist(run: ControlledLoop) -> None:
 
 
 def _by_target(run: ControlledLoop) -> None:
-    run.go_to(_READY + 0.5)
+    run.go_to(_READY + 0.5 * _ASIDE)
 
 
 def _by_stream(run: ControlledLoop) -> None:
@@ -213,7 +215,7 @@ def _by_stream(run: ControlledLoop) -> None:
 
     def send() -> None:
         if next(ticks) % 8 == 0:
-            run.go_to(_READY + 0.3 * np.sin(2.0 * (run.now - begin)))
+            run.go_to(_READY + 0.3 * np.sin(2.0 * (run.now - begin)) * _ASIDE)
 
     run.sender = send
 

@@ -23,9 +23,16 @@ def scenes():
 def test_commands_are_the_recorded_ones(scenes, name):
     recorded = RECORDED[name]
     ticks = golden_ticks.played(scenes[name], recorded.dq)
-    off = np.abs(ticks.dq - recorded.dq).max(axis=1)
+    certain = slice(recorded.certain)
+    off = np.abs(ticks.dq - recorded.dq).max(axis=1)[certain]
     assert off.max() < ROUND_OFF, f'from tick {int(np.argmax(off > ROUND_OFF))} on'
-    np.testing.assert_array_equal(ticks.stages, recorded.stages)
+    np.testing.assert_array_equal(ticks.stages[certain], recorded.stages[certain])
+
+
+def test_most_of_what_is_recorded_does_not_depend_on_rounding():
+    lengths = [len(recorded.dq) for recorded in RECORDED.values()]
+    assert sum(recorded.certain for recorded in RECORDED.values()) > 0.9 * sum(lengths)
+    assert min(recorded.certain for recorded in RECORDED.values()) > 10
 
 
 def test_every_method_and_stage_is_there(scenes):

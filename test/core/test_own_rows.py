@@ -14,7 +14,7 @@ from conftest import (
     PANDA_READY,
     random_postures,
 )
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 import numpy as np
 import pytest
 
@@ -89,8 +89,8 @@ def start_within(barriers, robot, seed):
     return None
 
 
-def at_rest(thing):
-    return Obstacle(thing.name, thing.center, thing.half_extents)
+def at_rest(thing, larger_by=0.0):
+    return Obstacle(thing.name, thing.center, thing.half_extents + larger_by)
 
 
 def restless(robot, random, speed):
@@ -163,6 +163,8 @@ def test_names_are_unique_and_weights_positive(options, message):
 @pytest.mark.parametrize('robot', [SMOOTH, ABRUPT, POSITION, BODY],
                          ids=['smooth', 'abrupt', 'position', 'body'])
 @given(seed=SEEDS, slow=st.booleans(), crowded=st.booleans())
+# An arm that speeds up within the room that is kept: it would come to rest ever further out.
+@example(seed=23465, slow=False, crowded=False)
 @settings(max_examples=examples(24), deadline=None)
 def test_barriers_are_kept_under_any_twists(robot, seed, slow, crowded):
     """Among obstacles at rest, at joint limits, and while the arm brakes."""
@@ -173,9 +175,10 @@ def test_barriers_are_kept_under_any_twists(robot, seed, slow, crowded):
     if q is None:
         return
     planner = Planner(robot, barriers=barriers)
+    # Of an arm that begins too near to something the clearance comes first.
     scene = [
-        thing for thing in map(at_rest, random_scene(robot, seed) if crowded else ())
-        if not planner.contacts(q, [thing])]
+        at_rest(thing) for thing in (random_scene(robot, seed) if crowded else ())
+        if not planner.contacts(q, [at_rest(thing, larger_by=0.05)])]
     dt = 0.004 if slow else 0.01
     postures, results = drive(
         planner, q, restless(robot, random, 0.4 if slow else 1.0), scene, 1.2, dt)

@@ -36,7 +36,7 @@ Array = npt.NDArray[np.float64]
 
 # Kinds of rows, in the order in which they stand; `own_barriers` inserts the user's. The last two
 # are not urgent: they give way before anything else does.
-OBSTACLE, LINK, CONE, OWN, SINGULARITY, SELF_MOTION = range(6)
+OBSTACLE, LINK, CONE, OWN, OWN_AT_REST, SINGULARITY, SELF_MOTION = range(7)
 
 # An arm is found inside a margin when it is deeper in than what linearisation may cost [m].
 _FOUND_INSIDE = 1e-3
@@ -60,7 +60,7 @@ class Barriers(NamedTuple):
         time_derivative: (b,) ∂h/∂t from the obstacles' own motion [unit of h/s].
         value: (b,) h against the margin; negative inside it, where the arm has to get out.
         spare: (b,) how much of h is given up before the rest of any other is.
-        kind: (b,) OBSTACLE, LINK, CONE, OWN, SINGULARITY or SELF_MOTION.
+        kind: (b,) OBSTACLE, LINK, CONE, OWN, OWN_AT_REST, SINGULARITY or SELF_MOTION.
         first, second: (b,) a link and an obstacle, two links, or the user's barrier and −1; −1
             for other rows.
     """
@@ -117,7 +117,8 @@ def urgent_rows(barriers: Barriers) -> int:
 def barrier_bounds(barriers: Barriers, gain: float, stop: float, dt: float) -> Array:
     """Return b (b,) of ∇h·q̇ ≥ b: −rate h − ∂h/∂t.
 
-    Inside the margin (h < 0) the same line asks the pair to move apart.
+    Inside the margin (h < 0) the same line asks the pair to move apart. What the user's barriers
+    keep where the arm comes to rest may be used up at once: rate = 1 / (T/2 + dt).
 
     Args:
         barriers: of what is near.
@@ -125,12 +126,19 @@ def barrier_bounds(barriers: Barriers, gain: float, stop: float, dt: float) -> A
         stop: stopping time T that the next velocity may have [s].
         dt: [s].
     """
-    return _bounds(barriers.value, barriers.time_derivative, barrier_rate(gain, stop, dt))
+    return _bounds(barriers.value, barriers.time_derivative, barriers.kind,
+                   barrier_rate(gain, stop, dt), 1.0 / (0.5 * stop + dt))
 
 
 @compiled
-def _bounds(value: Vector, time_derivative: Vector, rate: float) -> Array:
-    return -rate * value - time_derivative
+def _bounds(
+    value: Vector, time_derivative: Vector, kind: Indices, rate: float, rate_at_rest: float,
+) -> Array:
+    bounds = np.empty(len(value))
+    for row in range(len(value)):
+        bounds[row] = -(rate_at_rest if kind[row] == OWN_AT_REST else rate) * value[
+            row] - time_derivative[row]
+    return bounds
 
 
 @kernel
@@ -147,7 +155,8 @@ def admissible(
     """
     stop = stopping_time(previous, limits.acceleration_max) + dt
     lower, upper, kept = velocity_bounds(q, previous, limits, stop, dt)
-    bounds = _bounds(barriers.value, barriers.time_derivative, barrier_rate(gain, stop, dt))
+    bounds = _bounds(barriers.value, barriers.time_derivative, barriers.kind,
+                     barrier_rate(gain, stop, dt), 1.0 / (0.5 * stop + dt))
     if not kept:
         return False
     for i in range(len(dq)):

@@ -4,10 +4,11 @@ With v the velocity of the tick before and r = Σ |∂h/∂q_j| a_j (c + dt²), 
 velocities and a tick cut off corners, a barrier h ≥ 0 asks for two rows:
 
     ∇h·q̇ + min(0, (h(q + dt v) − h(q))/dt − ∇h·v) ≥ −rate · (h − r)
-    ∇h_r·q̇ ≥ −rate · (h_r − r − ∇h_r·(q_r − q)),      q_r = q + ½ T v, if ∇h_r·v < 0
+    ∇h_r·q̇ ≥ −(max(0, h_r − r) − ∇h_r·(q_r − q)) / (½ T' + dt),      q_r = q + ½ T v
 
 The first one's second term is ½ dt vᵀ(∂²h/∂q²) v, where h bends down. The second one keeps h
-where the arm comes to rest, and asks for no more braking than proportional braking gives.
+where the arm comes to rest, with the stopping time T' of the next velocity: at r or more, or where
+it is. Braking in proportion does not move that place.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.safety.barriers import Barriers, OWN
+from redundant_planner.core.safety.barriers import Barriers, OWN, OWN_AT_REST
 from redundant_planner.core.safety.limits import barrier_rate, Limits, stopping_time
 from redundant_planner.core.step_result import OwnValue
 
@@ -94,7 +95,6 @@ class OwnBarriers:
         uses_up = _FAR / barrier_rate(gain, stop + dt, dt) * fastest
         # Joint motion that corners cut off at most, those within a tick too.
         room = limits.acceleration_max * (corner + dt * dt) + strayed
-        rate, braking = barrier_rate(gain, max(stop - dt, 0.0), dt), 1.0 - dt / max(stop, dt)
         values, broken, rows = [], [], []
         for i, (barrier, unit) in enumerate(zip(self.barriers, self._units)):
             here = measured(barrier, arm)
@@ -118,7 +118,7 @@ class OwnBarriers:
             value = here.value / unit - kept
             if value < 0.0:
                 value = max(value, -_SLOWLY_BACK / gain * _null_motion(arm, scaling, gradient))
-            rows.append(_Row(gradient, min(bent, 0.0), value, i))
+            rows.append(_Row(gradient, min(bent, 0.0), value, i, OWN))
             if arm_at_rest is None:
                 continue
             end = measured(barrier, arm_at_rest)
@@ -126,12 +126,8 @@ class OwnBarriers:
                 broken.append(barrier.name)
                 continue
             gradient = end.gradient / unit
-            nearer = -float(gradient @ previous)
-            if nearer > 0.0:
-                value = end.value / unit - kept - float(gradient @ rest)
-                # No more than braking can do.
-                rows.append(_Row(gradient, 0.0, value, i) if rate * value >= braking * nearer
-                            else _Row(gradient, braking * nearer, 0.0, i))
+            value = max(end.value / unit - kept, 0.0) - float(gradient @ rest)
+            rows.append(_Row(gradient, 0.0, value, i, OWN_AT_REST))
         return OwnRows(_barriers(rows, len(arm.q)), tuple(values), tuple(broken))
 
     def rooms(self, postures: Array) -> Array:
@@ -147,12 +143,13 @@ class OwnBarriers:
 
 
 class _Row(NamedTuple):
-    """A row: see `Barriers`; `first` is the barrier's number."""
+    """A row: see `Barriers`."""
 
     gradient: Array
     time_derivative: float
     value: float
     first: int
+    kind: int
 
 
 def _barriers(rows: list[_Row], n: int) -> Barriers:
@@ -161,7 +158,8 @@ def _barriers(rows: list[_Row], n: int) -> Barriers:
         np.array([row.gradient for row in rows]).reshape(-1, n),
         np.array([row.time_derivative for row in rows], dtype=float),
         np.array([row.value for row in rows], dtype=float), np.zeros(len(rows)),
-        np.full(len(rows), OWN), np.array([row.first for row in rows], dtype=np.intp),
+        np.array([row.kind for row in rows], dtype=np.intp),
+        np.array([row.first for row in rows], dtype=np.intp),
         np.full(len(rows), -1))
 
 

@@ -16,6 +16,7 @@ from redundant_planner.core.safety.barriers import (
     LINK,
     OBSTACLE,
     OWN,
+    OWN_AT_REST,
     SELF_MOTION,
     SINGULARITY,
 )
@@ -85,7 +86,7 @@ def _row_name(
     kind = int(barriers.kind[row])
     if kind == SINGULARITY:
         return _SINGULAR[0]
-    if kind == OWN:
+    if kind in (OWN, OWN_AT_REST):
         return f"'{own[int(barriers.first[row])]}'"
     if kind == CONE:
         return 'the tip leans as far as cone.angle lets it'
