@@ -25,6 +25,8 @@ _LOOKS_PER_SPAN = 4
 _CORNERS, _SLACK = 0.5, 1e-4
 # The rest of a way is another one if it costs no more than this share of it.
 _BETTER = 0.98
+# A way that costs no more than this factor of the least that it might is good.
+_GOOD = 1.1
 # Corners of a polygon that are so close are the same [rad].
 _SAME = 1e-6
 # A point of the curve depends on so many control points before and after it.
@@ -65,7 +67,7 @@ class CurveSearch:
 
         Args:
             distances: how much work that may be.
-            any_way: whether one that has not been made shorter will do.
+            any_way: whether one that is not good will do.
         """
         self._any_way = any_way
         until = self.space.spent + distances
@@ -93,7 +95,8 @@ class CurveSearch:
         for _ in search.work():
             yield None
             if search.way is not None and (
-                    search.straight or search.shortened or self._any_way):
+                    search.straight or self._any_way
+                    or (search.shortened and search.price <= _GOOD * search.least)):
                 break
         assert search.way is not None
         polygon = self._corners

@@ -51,6 +51,16 @@ class Place(NamedTuple):
     room: Array
 
 
+def stacked_places(places: Sequence[Place]) -> tuple[Array, Array]:
+    """Return the postures (w, n) of places, and their rooms (w, k)."""
+    return np.array([place.q for place in places]), np.array([place.room for place in places])
+
+
+def places_of(postures: Array, rooms: Array) -> list[Place]:
+    """Return places with postures (w, n) and rooms (w, k)."""
+    return [Place(q.copy(), room.copy()) for q, room in zip(postures, rooms)]
+
+
 class FreeSpace:
     """The postures at which one arm is free, among obstacles as they are at one moment.
 

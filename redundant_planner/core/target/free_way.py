@@ -32,10 +32,9 @@ from redundant_planner.core.target.patience import Patience
 Array = npt.NDArray[np.float64]
 
 # What looking at a distance takes, about, and what a tick spends on them at most [s].
-_DISTANCE, _MOST_WORK = 3.5e-8, 1.2e-3
-# After this time a way that has not been made shorter will do, too; after that the tip goes as
-# near as a line takes it [s].
-_LATE, _LONGEST = 0.1, 1.0
+_DISTANCE, _MOST_WORK = 3e-8, 1.2e-3
+# After this time any way will do; after that the tip goes as near as a line takes it [s].
+_LATE, _LONGEST = 0.25, 1.0
 # After this time without a way a tick works a quarter as much [s].
 _DILIGENT = 5.0
 # The rest of a way that is improved begins this far ahead of the arm [s], and is at least so many

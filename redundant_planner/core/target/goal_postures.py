@@ -11,7 +11,7 @@ from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.robot.turns import nearest_turn, TURN
-from redundant_planner.core.target.free_space import FreeSpace, Place
+from redundant_planner.core.target.free_space import FreeSpace, Place, places_of
 from redundant_planner.core.target.inverse_kinematics import AT_POSE, self_motion, solve
 
 Array = npt.NDArray[np.float64]
@@ -155,7 +155,7 @@ class _Known:
 
 def _places(space: FreeSpace, postures: Sequence[Array] | Array) -> list[Place]:
     """Return postures (n,) with their room."""
-    return [Place(*found) for found in zip(postures, space.rooms(np.array(postures)))]
+    return places_of(np.array(postures), space.rooms(np.array(postures)))
 
 
 def off_poses(robot: Robot, q: Array, poses: Poses) -> float:

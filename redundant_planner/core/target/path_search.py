@@ -2,7 +2,8 @@
 
 Trees grow from both ends towards random postures and each other (RRT-Connect, Kuffner and LaValle
 2000). What they find is shortened by straight motions between random points of it, and to other
-ends, and pulled tight. With the same seed the random numbers are the same, and so is the result.
+ends, and pulled tight. From then on they grow where a way could be shorter. With the same seed the
+random numbers are the same, and so is the result.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ import numpy.typing as npt
 from redundant_planner.core.robot.se3 import Poses, stacked
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.target.elastic_band import pulled_tight
-from redundant_planner.core.target.free_space import FreeSpace, Place
+from redundant_planner.core.target.free_space import FreeSpace, Place, places_of, stacked_places
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.goal_postures import goal_postures, only_posture
 from redundant_planner.core.target.joint_curve import lengths_along
+from redundant_planner.core.target.random_postures import informed_samples, near_trees
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
 from redundant_planner.core.target.straight_motion import Motion, new_motion
 from redundant_planner.core.target.tree_growth import (
@@ -53,19 +55,19 @@ _INSIDE, _AT_GOAL = 2e-3, 1e-4
 _PRICE_OF_ASIDE, _MOST_ASIDE = 0.01, 32
 # Branches that a tree without goals grows between guesses.
 _LOOKS_AROUND = 10
-# Guesses at goal postures before each attempt, and how many postures are enough. Half of them may
-# come of one guess: those along its null space are of one family.
-_GUESSES, _GOALS = 60, 12
+# Guesses at goal postures before each attempt; how many postures are enough, after how many
+# guesses at least, as others lead to other families; and how many may come of one, along its null
+# space.
+_GUESSES, _GOALS, _FEWEST_GUESSES, _OF_FAMILY = 60, 12, 12, 3
 # Guesses without any posture after which a pose counts as out of reach.
 _GUESSES_OUT_OF_REACH = 300
+# A way is better if it costs no more than this share of the best.
+_BETTER = 0.98
 # A straight motion to a goal that is further than the nearest by this share is as good.
 _AS_GOOD = 1.05
 # Longest branch that is tried at once [rad, joint weights included]: anywhere, where the way may
 # have little room, and where the tip stays in a cone.
 _BRANCH, _BRANCH_IN_GAPS, _BRANCH_IN_CONE = 0.8, 0.5, 0.2
-# Every other random posture is about so near to a posture of a tree [rad, m]. Few motions lead out
-# of a narrow place, and those towards far postures hardly ever do.
-_NEAR_TREES = 0.9
 # Random postures that trees grow towards, drawn at once, and what trees cost, in distances.
 _AIMS, _COST_OF_TREES = 256, 3000
 # Nodes of both trees together after which they are given up, and the work at them in one attempt,
@@ -137,6 +139,11 @@ class PathSearch:
             if not self._goals or (self._start.room < -_INSIDE).any():
                 yield from self._explore()
                 continue
+            if self._most(room) <= self._away.min():
+                yield
+                # Where those with little room could not be better, others still may.
+                self.rounds += room == _ROOMS[0]
+                continue
             way = yield from self._connected(room)
             if way is not None:
                 way = yield from self._cut_short(way, room, *_ROUGHLY)
@@ -151,6 +158,11 @@ class PathSearch:
         """What the way costs: its length, if nothing else counts; infinite where there is none."""
         return self._price
 
+    @property
+    def least(self) -> float:
+        """What any way costs at least: a straight motion to the best goal that is known."""
+        return min(self._price_of([self._start, goal], _ROOMS[0]) for goal in self._goals)
+
     def go_on_from(self, rest: Array) -> None:
         """Search from another start, where postures (k, n) are a way that is known.
 
@@ -160,7 +172,7 @@ class PathSearch:
         self._blocked.clear()
         last = min(self._goals, key=lambda goal: float(np.abs(goal.q - rest[-1]).max()))
         between = rest[1:-1]
-        self.way = [self._start, *_places(between, self._space.rooms(between)), last]
+        self.way = [self._start, *places_of(between, self._space.rooms(between)), last]
         self.straight = False
         self._price = self._price_of(self.way, self.room)
 
@@ -186,18 +198,19 @@ class PathSearch:
             space.away(postures) - _PRICE_OF_ASIDE * space.distance(self._start.q, postures)))]
         if best > 0:
             nodes = to_root(trees, 0, best)[::-1]
-            self.way = _places(trees.postures[0, nodes], trees.rooms[0, nodes])
+            self.way = places_of(trees.postures[0, nodes], trees.rooms[0, nodes])
             self.room, self.aside = _ROOMS[-1], True
 
     def length(self, way: Way) -> float:
         """Return how long a way is, joint weights included [rad]."""
-        return float(lengths_along(_stacked(way)[0], self._space.joints.scaling)[-1])
+        return float(lengths_along(stacked_places(way)[0], self._space.joints.scaling)[-1])
 
     def _guess(self) -> Generator[None, None, None]:
         """Look for goal postures."""
         until = self._guesses + _GUESSES
         family: list[Place] = []
-        while len(self._goals) < _GOALS and self._guesses < until:
+        while self._guesses < until and (
+                len(self._goals) < _GOALS or self._guesses < _FEWEST_GUESSES):
             found = next(self._postures)
             yield
             for goal in found or ():
@@ -208,7 +221,7 @@ class PathSearch:
             if found is None:
                 family.sort(key=lambda goal: float(
                     self._space.distance(self._start.q, goal.q)))
-                self._goals += _evenly(family, _GOALS // 2)
+                self._goals += _evenly(family, _OF_FAMILY)
                 family = []
             self._guesses += found is None
             self._reached = self._reached or bool(found)
@@ -220,7 +233,7 @@ class PathSearch:
         if not self._gives_way:
             return
         if self._trees is None:
-            start = _stacked([self._start])
+            start = stacked_places([self._start])
             self._trees = new_trees(_MOST_NODES, start, (start[0][:0], start[1][:0]))
         yield from self._grow(self._trees, _LOOKS_AROUND, _ROOMS[-1])
 
@@ -237,16 +250,24 @@ class PathSearch:
         price = self._price_of(way, room)
         if price < self._price:
             self._price, self.room = price, room
-            nearest = min(self._space.distance(self._start.q, goal.q) for goal in self._goals)
-            self.straight = len(way) == 2 and bool(self.length(way) <= _AS_GOOD * nearest)
+            self.straight = len(way) == 2 and price <= _AS_GOOD * self.least
             self.way, self.aside = way, False
+
+    def _most(self, room: float) -> float:
+        """Return how long a way with some room may be to be the best [rad, weights included]."""
+        return _BETTER * self._price / (1.0 if room == _ROOMS[0] else _PRICE_OF_GAPS)
+
+    @property
+    def _away(self) -> Array:
+        """How far each goal is [rad, joint weights included]."""
+        return self._space.distance(self._start.q, stacked_places(self._goals)[0])
 
     def _connected(self, room: float) -> Generator[None, None, Way | None]:
         """Return a way with some room to any goal, None where trees have not met so far."""
         space, start, goals = self._space, self._start, self._goals
-        needed = space.asked(room)
-        for i in np.argsort([float(space.distance(start.q, goal.q)) for goal in goals]):
-            if (room, int(i)) in self._blocked:
+        needed, away, most = space.asked(room), self._away, self._most(room)
+        for i in np.argsort(away):
+            if (room, int(i)) in self._blocked or away[i] >= most:
                 continue
             yield
             if (yield from space.is_free_between(start, goals[i], needed)):
@@ -254,18 +275,19 @@ class PathSearch:
             self._blocked.add((room, int(i)))
         trees, rooted = self._unmet.pop(room, (None, 0))
         if trees is None:
-            trees = new_trees(_MOST_NODES, _stacked([start]), _stacked(goals))
+            trees = new_trees(_MOST_NODES, stacked_places([start]), stacked_places(
+                [goal for goal, far in zip(goals, away) if far < most]))
             space.spend(_COST_OF_TREES)
             yield
         elif rooted < len(goals):
-            add_goals(trees, *_stacked(goals[rooted:]))
+            add_goals(trees, *stacked_places(goals[rooted:]))
         self._trees, until = trees, space.spent + _WORK
         while space.spent < until:
             ended = yield from self._grow(trees, _AIMS, room)
             if ended == TOO_LARGE:
                 return None
             if ended == MET:
-                way = _places(*way_between(trees))
+                way = places_of(*way_between(trees))
                 broken = yield from self._rule_broken(way)
                 if broken is None:
                     return way
@@ -286,13 +308,15 @@ class PathSearch:
         """Grow trees towards so many random postures with some room; return how that ended."""
         space, (low, high) = self._space, self._ranges
         towards = self._random.uniform(low, high, (aims, len(low)))
-        counts = trees.numbers[:2]
-        if counts.all():
-            tree = np.arange(len(towards[::2])) % 2
-            node = (self._random.random(len(tree)) * counts[tree]).astype(np.intp)
-            near = np.minimum(_NEAR_TREES, 0.5 * (high - low))
-            towards[::2] = np.clip(
-                self._random.normal(trees.postures[tree, node], near), low, high)
+        most = self._most(room)
+        if most < np.inf:
+            goals = stacked_places(self._goals)[0][self._away < most]
+            aimed = informed_samples(
+                self._random, aims, self._start.q, goals, most, space.joints.scaling)
+            inside = ((low <= aimed) & (aimed <= high)).all(axis=1)
+            towards[inside] = aimed[inside]
+        if trees.numbers[:2].all():
+            towards[::2] = near_trees(self._random, len(towards[::2]), trees, low, high)
         trees.numbers[USED] = 0
         motion, needed = self._motion(), space.asked(room)
         longest = (_BRANCH_IN_CONE if space.narrow else
@@ -347,9 +371,9 @@ class PathSearch:
         self, way: Way, room: float, random: Array, most_in_vain: int,
     ) -> Generator[None, None, Way]:
         """Return a way with as much room after attempts (a, ...) to make it shorter."""
-        space, goals = self._space, _stacked(self._goals)
+        space, goals = self._space, stacked_places(self._goals)
         motion, needed = self._motion(), space.asked(room)
-        work = new_shortening(*_stacked(way), space.joints.scaling)
+        work = new_shortening(*stacked_places(way), space.joints.scaling)
         over = False
         while not over:
             over, looked = shorten(
@@ -358,7 +382,7 @@ class PathSearch:
             space.spend(looked * space.cost)
             yield
         count = work.numbers[COUNT]
-        return _places(work.postures[:count], work.rooms[:count])
+        return places_of(work.postures[:count], work.rooms[:count])
 
     def _motion(self) -> Motion:
         """Return memory for a motion between any two postures of the search."""
@@ -373,13 +397,3 @@ class PathSearch:
 def _evenly(places: Sequence[Thing], most: int) -> Sequence[Thing]:
     """Return so many of a sequence at most, evenly spread, the first one among them."""
     return places[::max(math.ceil(len(places) / most), 1)]
-
-
-def _stacked(places: Sequence[Place]) -> tuple[Array, Array]:
-    """Return the postures (k, n) of places, and their rooms (k, …)."""
-    return np.array([place.q for place in places]), np.array([place.room for place in places])
-
-
-def _places(postures: Array, rooms: Array) -> Way:
-    """Return places with postures (k, n) and rooms (k, …)."""
-    return [Place(q.copy(), room.copy()) for q, room in zip(postures, rooms)]

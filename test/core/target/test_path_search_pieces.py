@@ -191,10 +191,10 @@ def test_a_way_is_followed_within_the_limits_and_ends_at_rest(seed, corners, spe
 
 
 def test_a_better_rest_is_taken_up_in_motion_without_a_jump():
-    """The arm sets off within a tenth of a second, and still goes a short way."""
+    """The arm sets off within a quarter of a second, and still goes a short way."""
     scene = Scene.of([WALL, Obstacle.box('shelf', (0.45, 0.0, 0.75), (0.3, 0.5, 0.02)),
                       Obstacle.box('back', (-0.3, 0.0, 0.5), (0.2, 1.0, 1.0))])
-    run, target = Run(start=LEFT, target_effort=0.1), tip(ROBOT, RIGHT)
+    run, target = Run(start=LEFT, target_effort=0.04), tip(ROBOT, RIGHT)
     curves = []
 
     def watched(_):
@@ -205,7 +205,7 @@ def test_a_better_rest_is_taken_up_in_motion_without_a_jump():
 
     run.to(watched, 6.0, scene)
     moves = np.abs([result.dq for result in run.results]).max(axis=1) > 1e-3
-    assert moves.argmax() * DT <= 0.15
+    assert moves.argmax() * DT <= 0.3
     assert len(curves) > 1, 'nothing was improved: the test needs another scene'
     run.assert_within_limits()
     # What has been passed stays as it was.
@@ -233,7 +233,8 @@ def test_goals_are_of_several_families_and_each_has_its_nearest(monkeypatch):
     space, random = space_among([]), np.random.default_rng(3)
     postures = random.uniform(PANDA.position_min, PANDA.position_max, (1600, 7))
     free = [place for place in map(space.place, postures) if (place.room >= 1e-3).all()]
-    families = [free[30 * i:30 * (i + 1)] for i in range(8)]
+    families = [free[20 * i:20 * (i + 1)] for i in range(14)]
+    assert len(families[-1]) == 20
 
     def guessed(*_):
         for family in families:
@@ -249,7 +250,7 @@ def test_goals_are_of_several_families_and_each_has_its_nearest(monkeypatch):
         pass
     of_each = [[goal for goal in search._goals if any(goal.q is one.q for one in family)]
                for family in families]
-    assert max(map(len, of_each)) <= 6 and sum(map(bool, of_each)) >= 2
+    assert max(map(len, of_each)) <= 3 and sum(map(bool, of_each)) >= 12
     for family, chosen in zip(families, of_each):
         nearest = min(family, key=lambda one: space.distance(PANDA_READY, one.q))
         assert not chosen or any(one.q is nearest.q for one in chosen)
