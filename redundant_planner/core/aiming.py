@@ -70,7 +70,8 @@ class Aiming:
         self._along_path = AlongPath(robot, p, constants, gains, commands, filtered=filtered)
         self._look_ahead = LookAhead(robot, p, limits, constants, gains)
         known = None if before is None else before._way
-        self._way: Way = Way(robot, p, limits, constants, gains, known, commands.coupling, own)
+        self._way: Way = Way(robot, p, limits, constants, gains, before=known,
+                             coupling=commands.coupling, own=own)
         self._is_led: bool = before is not None and before._is_led  # to a target
         self._by_joints: bool = before is not None and before._by_joints  # in the last tick
         self._back = ComingBack(robot, constants)

@@ -81,8 +81,8 @@ class PlannerNodeParameters:
 
 
 @dataclass(frozen=True)
-class FakeHardwareParameters:
-    """What fake_hardware_node needs besides the URDF.
+class SimulatedArmParameters:
+    """What each node with a simulated arm needs besides the robot.
 
     Raises:
         ParameterError: a value has the wrong type or range.
@@ -91,17 +91,11 @@ class FakeHardwareParameters:
     rate: int = parameter(
         250, low=1, high=1000, unit='Hz',
         description="Rate of joint_states, and of /clock: then planner_node's.")
-    command_timeout: float = parameter(
-        0.05, low=0.001, high=10.0, unit='s',
-        description='Without joint_command for this long the arm holds still.')
     initial_joints: tuple[str, ...] = parameter(
         (), description='Joints that do not start at 0.')
     initial_positions: tuple[float, ...] = parameter(
         (), low=-1e6, high=1e6, unit='rad, m',
         description='One start position per name in initial_joints.')
-    lag: float = parameter(
-        0.0, low=0.0, high=1.0, unit='s',
-        description='Dead time between a command and the motion it causes.')
     noise: float = parameter(
         0.0, low=0.0, high=0.1, unit='rad, m',
         description='Standard deviation of the noise on published positions.')
@@ -119,6 +113,22 @@ class FakeHardwareParameters:
             raise ParameterError(
                 f"parameter 'initial_positions' has {len(self.initial_positions)} entries; it "
                 f"takes {len(self.initial_joints)}, one per name in 'initial_joints'")
+
+
+@dataclass(frozen=True)
+class FakeHardwareParameters(SimulatedArmParameters):
+    """What fake_hardware_node needs besides the URDF.
+
+    Raises:
+        ParameterError: a value has the wrong type or range.
+    """
+
+    command_timeout: float = parameter(
+        0.05, low=0.001, high=10.0, unit='s',
+        description='Without joint_command for this long the arm holds still.')
+    lag: float = parameter(
+        0.0, low=0.0, high=1.0, unit='s',
+        description='Dead time between a command and the motion it causes.')
 
 
 @dataclass(frozen=True)

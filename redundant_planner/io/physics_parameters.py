@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from redundant_planner.core.errors import ParameterError
 from redundant_planner.core.parameters import check, parameter
+from redundant_planner.io.node_parameters import SimulatedArmParameters
 
 VELOCITY_SERVO, POSITION_SERVO, NO_SERVO = 'velocity', 'position', 'off'
 
@@ -60,37 +60,12 @@ class PhysicsParameters:
 
 
 @dataclass(frozen=True)
-class MujocoHardwareParameters:
+class MujocoHardwareParameters(SimulatedArmParameters):
     """What mujoco_hardware_node needs besides the robot and the physics.
 
     Raises:
         ParameterError: a value has the wrong type or range.
     """
 
-    rate: int = parameter(
-        250, low=1, high=1000, unit='Hz',
-        description="Rate of joint_states, and of /clock: then planner_node's.")
-    initial_joints: tuple[str, ...] = parameter(
-        (), description='Joints that do not start at 0.')
-    initial_positions: tuple[float, ...] = parameter(
-        (), low=-1e6, high=1e6, unit='rad, m',
-        description='One start position per name in initial_joints.')
-    noise: float = parameter(
-        0.0, low=0.0, high=0.1, unit='rad, m',
-        description='Standard deviation of the noise on published positions.')
-    wrap_continuous: bool = parameter(
-        False, description='Whether continuous joints are published within (−π, π], as most '
-                           'drivers do.')
     static_obstacles: tuple[str, ...] = parameter(
         (), description='Fixed obstacles that are bodies, as for planner_node.')
-    thread_priority: int = parameter(
-        40, low=0, high=98,
-        description="Real-time priority (SCHED_FIFO), as planner_node's.")
-
-    def __post_init__(self) -> None:
-        """Check every value and the relations between them."""
-        check(self)
-        if len(self.initial_joints) != len(self.initial_positions):
-            raise ParameterError(
-                f"parameter 'initial_positions' has {len(self.initial_positions)} entries; it "
-                f"takes {len(self.initial_joints)}, one per name in 'initial_joints'")

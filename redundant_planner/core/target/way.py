@@ -59,8 +59,8 @@ class Way:
 
     def __init__(
         self, robot: Robot, parameters: PlannerParameters, limits: Limits,
-        constants: RobotConstants, gains: Gains, before: Way | None = None,
-        coupling: Coupling | None = None, own: OwnBarriers | None = None,
+        constants: RobotConstants, gains: Gains, *, before: Way | None, coupling: Coupling | None,
+        own: OwnBarriers | None,
     ) -> None:
         """Prepare for an arm; the other arguments are made of the parameters.
 
