@@ -249,7 +249,8 @@ class _Motion:
         if things is None:
             return
         try:
-            clearance.hold(robot.holding(things))
+            # Which tips hold it is not known here: those that do may touch it.
+            clearance.hold(robot.holding(things, by_all=True))
         except ObstacleError as error:
             self._bag.left_out.add('attached', str(error))
             return

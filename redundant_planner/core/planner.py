@@ -129,15 +129,15 @@ class Planner:
     def hold(self, things: Iterable[Obstacle]) -> None:
         """Make what the hand holds a part of the arm, from the next tick on, and it alone.
 
-        It is kept from all but the links that move along with the tip.
+        It is kept from all but the links that move along with the tip, or with any coupled tip.
 
         Args:
-            things: their shapes at rest in the tip's frame; none to let go of all.
+            things: their shapes at rest in the first tip's frame; none to let go of all.
 
         Raises:
             ObstacleError: they cannot be held; the arm is as before then.
         """
-        before, self.robot = self.robot, self.robot.holding(things)
+        before, self.robot = self.robot, self.robot.holding(things, by_all=bool(self.coupling))
         try:
             self.parameters = self._parameters
         except PlannerError:
@@ -175,7 +175,7 @@ class Planner:
     def _begin_anew(self) -> None:
         """Let the way to a target begin again, of tips that go together in another way."""
         self._aiming.forget_target()
-        self.parameters = self._parameters
+        self.hold(self.robot.held)
 
     def contacts(self, q: Array, scene: Scene | Sequence[Obstacle]) -> tuple[Contact, ...]:
         """Return which links touch which obstacles at a posture (n,), and whether they may.

@@ -431,3 +431,46 @@ def test_runs_of_several_tips_repeat_to_the_last_bit():
         return np.array(found)
 
     np.testing.assert_array_equal(run(), run())
+
+
+def bar_between_the_hands():
+    """A rod from one hand to the other at `START`, in the first one's frame."""
+    left, right = BODY.kinematics(START).tips.each
+    way = left.rotation.T @ (right.position - left.position)
+    half = 0.5 * np.linalg.norm(way)
+    # The shortest turn of the z axis onto the way.
+    axis = np.cross((0.0, 0.0, 1.0), way / (2.0 * half))
+    turn = np.array([*axis, 1.0 + way[2] / (2.0 * half)])
+    return Obstacle.capsule('bar', 0.5 * way, 0.02, 2.0 * half,
+                            orientation=turn / np.linalg.norm(turn))
+
+
+@pytest.mark.parametrize('first', ['hold', 'couple'])
+def test_what_both_hands_hold_may_touch_both(first):
+    bar, planner = bar_between_the_hands(), Planner(BODY)
+    if first == 'hold':
+        planner.hold([bar])
+    planner.couple(q=START)
+    if first == 'couple':
+        planner.hold([bar])
+
+    def kept_from(robot):
+        """The joints whose links the bar is kept from."""
+        held = len(robot.capsules) - 1
+        return {int(robot.chain.capsule_joint[i]) for i, j in robot.self_pairs if j == held}
+
+    joints = {name: 1 + BODY.joint_names.index(name) for name in ('left6', 'right6')}
+    assert kept_from(planner.robot) and not kept_from(planner.robot) & set(joints.values())
+    _, right = BODY.kinematics(START).tips.each
+    held = planner.robot.kinematics(START).segment_end[-1]
+    np.testing.assert_allclose(held, right.position, atol=1e-9)
+    q = START.copy()
+    for _ in range(100):
+        result = planner.step(q, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]), (), DT)
+        q = q + DT * result.dq
+    assert result.scale == 1.0 and q[0] != START[0]
+    # One hand alone holds it again, and keeps it from the other.
+    planner.uncouple()
+    assert planner.robot.held == (bar,)
+    assert joints['right6'] in kept_from(planner.robot)
+    assert joints['left6'] not in kept_from(planner.robot)

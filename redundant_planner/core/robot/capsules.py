@@ -181,21 +181,23 @@ def lever_arm_bounds(model: pin.Model, capsule_joint: Indices, capsule_ends: Arr
 
 
 def pairs_of_payload(
-    capsules: Sequence[Capsule], own: int, capsule_joint: Indices, arms: Iterable[Kinematics],
+    capsules: Sequence[Capsule], own: int, capsule_joint: Indices, hands: Sequence[int],
+    arms: Iterable[Kinematics],
 ) -> Indices:
-    """Return the pairs (p, 2) of what the hand holds and links that may hit each other.
+    """Return the pairs (p, 2) of what hands hold and links that may hit each other.
 
-    All but the hand count, and but links that it would overlap at most postures.
+    All but the hands count, and but links that it would overlap at most postures.
 
     Args:
         capsules: the arm's own, then those of what is held.
         own: how many are the arm's own.
         capsule_joint: (c,) the joints that carry them.
+        hands: the joints that carry the hands.
         arms: the kinematics at random postures, without end.
     """
     links, held = np.meshgrid(np.arange(own), np.arange(own, len(capsules)), indexing='ij')
     pairs = np.column_stack((links.ravel(), held.ravel()))
-    pairs = pairs[np.diff(capsule_joint[pairs], axis=1)[:, 0] != 0]
+    pairs = pairs[~np.isin(capsule_joint[pairs[:, 0]], hands)]
     if not len(pairs):
         return pairs
     radii = np.array([c.radius for c in capsules])

@@ -45,6 +45,7 @@ from redundant_planner.core.robot.urdf import read_urdf
 
 Array = npt.NDArray[np.float64]
 Arm = TypeVar('Arm', bound='Robot')
+Number = TypeVar('Number', bound=np.generic)
 
 # A posture further away is none: a continuous joint that turns at 10 rad/s gets there in a day.
 _FARTHEST = 1e6
@@ -68,6 +69,7 @@ class Robot:
             be infinite.
         limit_sources: where each of these limits is from.
         weights: (n,) how unwilling the joints are to move.
+        held: what the hand holds, in the tip's frame.
         capsules: the link shapes, then those of what the hand holds.
         self_pairs: (p, 2) indices of the capsules that can run into each other.
         moved: (c,) whether any joint moves a capsule. The others, of a base, keep links away from
@@ -161,6 +163,7 @@ class Robot:
         own = tuple(
             shapes.straight_capsules(self._model, self._tip_ids, link_radius)
             if capsules is None else capsules)
+        self.held: tuple[Obstacle, ...] = ()
         self._take_shapes(own, len(own))
         self.self_pairs = shapes.colliding_pairs(
             self.capsules, self.chain.capsule_joint, self.chain.parents, self._random_arms())
@@ -175,24 +178,26 @@ class Robot:
         """Number of controlled axes, of all tips together."""
         return len(self.rows)
 
-    def holding(self: Arm, things: Iterable[Obstacle]) -> Arm:
+    def holding(self: Arm, things: Iterable[Obstacle], *, by_all: bool = False) -> Arm:
         """Return the same arm with other things in its hand, as more capsules on the tip's joint.
 
         Args:
             things: their shapes in the tip's frame; none for an empty hand.
+            by_all: whether all tips hold them, which may touch them then, or the first one.
 
         Raises:
             ObstacleError: they cannot be held.
         """
-        own = self.capsules[:self._own]
-        held = payload_capsules(things, self.tip_frame)
-        robot = copy.copy(self)
+        own, robot = self.capsules[:self._own], copy.copy(self)
+        robot.held = tuple(things)
+        held = payload_capsules(robot.held, self.tip_frame)
         robot._take_shapes((*own, *held), len(own))
-        joints = robot.chain.capsule_joint
         pairs = [self.self_pairs[(self.self_pairs < len(own)).all(axis=1)]]
         if held:
+            hands = [self._model.frames[tip].parentJoint for tip in self._tip_ids]
             pairs.append(shapes.pairs_of_payload(
-                robot.capsules, len(own), joints, robot._random_arms()))
+                robot.capsules, len(own), robot.chain.capsule_joint,
+                hands if by_all else hands[:1], robot._random_arms()))
         robot.self_pairs = np.concatenate(pairs)
         return robot
 
@@ -216,8 +221,7 @@ class Robot:
     def in_link(self, target: str, source: str, points: Array) -> Array:
         """Return points (k, 3) given in one link's frame in another's on the same joint [m]."""
         model = self._model
-        there, here = (model.frames[link_id(model, name)].placement
-                       for name in (target, source))
+        there, here = (model.frames[link_id(model, i)].placement for i in (target, source))
         change = there.inverse() * here
         return points @ change.rotation.T + change.translation
 
@@ -249,8 +253,7 @@ class Robot:
         """
         pose, moving = self._pose_of(arm, link)
         position = pose.rotation @ np.asarray(offset, dtype=float) + pose.translation
-        # v₀ + w × x
-        return position, moving * (
+        return position, moving * (  # v₀ + w × x
             arm.joint_screws[:3] + pin.skew(position).T @ arm.joint_screws[3:])
 
     def direction(
@@ -345,8 +348,7 @@ class Robot:
             StateError: the length is wrong, or an entry is not finite or absurdly large.
         """
         posture = np.array(q, dtype=float)
-        if posture.shape == (self.n,) and (
-                sum(map(abs, posture.tolist())) <= _FARTHEST):  # NaN is not
+        if posture.shape == (self.n,) and sum(map(abs, posture.tolist())) <= _FARTHEST:  # no NaN
             return posture
         if posture.shape != (self.n,):
             raise StateError(
@@ -373,14 +375,13 @@ class Robot:
         """Set all that follows from the link shapes, of which the first ones are the arm's own."""
         self.capsules, self._own = capsules, own
         self.chain = chain_of(
-            self._model, self._tip_ids, self.capsules, self.rows, in_tool=self.in_tool)
+            self._model, self._tip_ids, capsules, self.rows, in_tool=self.in_tool)
         self._packed_chain = Packed.of(self.chain)
         # Of the arrays that every posture gets anew, after the posture itself.
         self._shapes = [part.shape for part in new_kinematics(
             np.zeros(self.n), self.m, len(self.tips), len(self.capsules))[1:]]
         self.supports = _read_only(self.chain.supports.copy())
-        self.moved = self.chain.capsule_joint > 0
-        self.moved.setflags(write=False)
+        self.moved = _read_only(self.chain.capsule_joint > 0)
         self.lever_arm_bounds = _read_only(shapes.lever_arm_bounds(
             self._model, self.chain.capsule_joint, self.chain.capsule_ends))
 
@@ -394,6 +395,6 @@ class Robot:
             yield self.kinematics(random.uniform(low, high))
 
 
-def _read_only(array: Array) -> Array:
+def _read_only(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
     array.setflags(write=False)
     return array
