@@ -25,8 +25,6 @@ _LOOKS_PER_SPAN = 4
 _CORNERS, _SLACK = 0.5, 1e-4
 # The rest of a way is another one if it costs no more than this share of it.
 _BETTER = 0.98
-# A way that costs no more than this factor of the least that it might is good.
-_GOOD = 1.1
 # Corners of a polygon that are so close are the same [rad].
 _SAME = 1e-6
 # A point of the curve depends on so many control points before and after it.
@@ -95,8 +93,7 @@ class CurveSearch:
         for _ in search.work():
             yield None
             if search.way is not None and (
-                    search.straight or self._any_way
-                    or (search.shortened and search.price <= _GOOD * search.least)):
+                    search.straight or self._any_way or (search.shortened and search.good)):
                 break
         assert search.way is not None
         polygon = self._corners

@@ -63,13 +63,15 @@ _GUESSES, _GOALS, _FEWEST_GUESSES, _OF_FAMILY = 60, 12, 12, 3
 _GUESSES_OUT_OF_REACH = 300
 # A way is better if it costs no more than this share of the best.
 _BETTER = 0.98
-# A straight motion to a goal that is further than the nearest by this share is as good.
-_AS_GOOD = 1.05
+# A straight motion to a goal that is further than the nearest by this share is as good, and a way
+# that costs no more than this factor of it is good.
+_AS_GOOD, _GOOD = 1.05, 1.1
 # Longest branch that is tried at once [rad, joint weights included]: anywhere, where the way may
 # have little room, and where the tip stays in a cone.
 _BRANCH, _BRANCH_IN_GAPS, _BRANCH_IN_CONE = 0.8, 0.5, 0.2
-# Random postures that trees grow towards, drawn at once, and what trees cost, in distances.
-_AIMS, _COST_OF_TREES = 256, 3000
+# Random postures that trees grow towards, drawn at once, and what trees and a look at all goals
+# cost, in distances.
+_AIMS, _COST_OF_TREES, _COST_OF_LOOK = 256, 3000, 1000
 # Nodes of both trees together after which they are given up, and the work at them in one attempt,
 # in distances: then those with other room have their turn.
 _MOST_NODES, _WORK = 10_000, 1_000_000
@@ -87,6 +89,7 @@ class PathSearch:
         way: the shortest way that is known, None if none is.
         room: that it has [m].
         straight: whether it is one straight motion to the nearest goal that is known.
+        good: whether it costs little more than any might: a straight motion to the best goal.
         shortened: whether it has been made shorter, roughly at least.
         rounds: how many attempts have ended since the first way was found.
         out_of_reach: whether no posture with the tip at the pose is known after many guesses.
@@ -108,7 +111,7 @@ class PathSearch:
         """
         self.way: Way | None = None
         self.room = self._price = np.inf
-        self.straight, self.shortened, self.rounds = False, False, 0
+        self.straight, self.good, self.shortened, self.rounds = False, False, False, 0
         self.out_of_reach, self.aside = False, False
         self._trees: Trees | None = None  # the latest, of which the first begins at the start
         self._space, self._start, self._gives_way = space, space.begin_at(start), gives_way
@@ -140,6 +143,7 @@ class PathSearch:
                 yield from self._explore()
                 continue
             if self._most(room) <= self._away.min():
+                self._space.spend(_COST_OF_LOOK)
                 yield
                 # Where those with little room could not be better, others still may.
                 self.rounds += room == _ROOMS[0]
@@ -157,11 +161,6 @@ class PathSearch:
     def price(self) -> float:
         """What the way costs: its length, if nothing else counts; infinite where there is none."""
         return self._price
-
-    @property
-    def least(self) -> float:
-        """What any way costs at least: a straight motion to the best goal that is known."""
-        return min(self._price_of([self._start, goal], _ROOMS[0]) for goal in self._goals)
 
     def go_on_from(self, rest: Array) -> None:
         """Search from another start, where postures (k, n) are a way that is known.
@@ -250,8 +249,9 @@ class PathSearch:
         price = self._price_of(way, room)
         if price < self._price:
             self._price, self.room = price, room
-            self.straight = len(way) == 2 and price <= _AS_GOOD * self.least
-            self.way, self.aside = way, False
+            least = min(self._price_of([self._start, goal], _ROOMS[0]) for goal in self._goals)
+            self.straight = len(way) == 2 and price <= _AS_GOOD * least
+            self.good, self.way, self.aside = price <= _GOOD * least, way, False
 
     def _most(self, room: float) -> float:
         """Return how long a way with some room may be to be the best [rad, weights included]."""
