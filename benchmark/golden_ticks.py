@@ -249,7 +249,8 @@ def read(file: Path) -> dict[str, Ticks]:
     with np.load(file) as arrays:
         names = [key.removesuffix(': dq') for key in arrays if key.endswith(': dq')]
         return {name: Ticks(arrays[f'{name}: dq'], arrays[f'{name}: stages'],
-                            int(arrays[f'{name}: certain'])) for name in names}
+                            int(arrays.get(f'{name}: certain', len(arrays[f'{name}: dq']))))
+                for name in names}
 
 
 def write(file: Path) -> None:
@@ -268,9 +269,11 @@ def _certain(scene: GoldenScene, ticks: Ticks) -> int:
     for _ in range(_NUDGES):
         start = scene.start + random.uniform(-_ROUNDING, _ROUNDING, len(scene.start))
         nudged = ticks.dq + random.uniform(-_ROUNDING, _ROUNDING, ticks.dq.shape) / DT
-        off = np.abs(played(replace(scene, start=start), nudged).dq - ticks.dq).max(axis=1)
-        if off.max() > _SAME:
-            certain = min(certain, int(np.argmax(off > _SAME)))
+        there = played(replace(scene, start=start), nudged)
+        differs = (np.abs(there.dq - ticks.dq).max(axis=1) > _SAME) | (
+            there.stages != ticks.stages)
+        if differs.any():
+            certain = min(certain, int(np.argmax(differs)))
     return certain
 
 

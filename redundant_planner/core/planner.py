@@ -129,7 +129,7 @@ class Planner:
     def hold(self, things: Iterable[Obstacle]) -> None:
         """Make what the hand holds a part of the arm, from the next tick on, and it alone.
 
-        It is kept from all but the links that move along with the tip, or with any coupled tip.
+        It is kept from all but the links that move along with the tip, or, coupled, with any tip.
 
         Args:
             things: their shapes at rest in the first tip's frame; none to let go of all.

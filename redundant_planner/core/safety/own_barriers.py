@@ -4,11 +4,12 @@ With v the velocity of the tick before and r = Σ |∂h/∂q_j| a_j (c + dt²), 
 velocities and a tick cut off corners, a barrier h ≥ 0 asks for two rows:
 
     ∇h·q̇ + min(0, (h(q + dt v) − h(q))/dt − ∇h·v) ≥ −rate · (h − r)
-    ∇h_r·q̇ ≥ −(max(0, h_r − r) − ∇h_r·(q_r − q)) / (½ T' + dt),      q_r = q + ½ T v
+    ∇h_r·q̇ ≥ −(max(0, h_r − r) − (1 − dt²/T²) ∇h_r·(q_r − q)) / (½ T' + dt),  q_r = q + ½ T v
 
 The first one's second term is ½ dt vᵀ(∂²h/∂q²) v, where h bends down. The second one keeps h
 where the arm comes to rest, with the stopping time T' of the next velocity: at r or more, or where
-it is. Braking in proportion does not move that place.
+it is. Braking in proportion, T' = T − dt, always does that: it moves q_r by no more than the last
+tick's share dt²/T² of the way.
 """
 
 from __future__ import annotations
@@ -95,6 +96,7 @@ class OwnBarriers:
         uses_up = _FAR / barrier_rate(gain, stop + dt, dt) * fastest
         # Joint motion that corners cut off at most, those within a tick too.
         room = limits.acceleration_max * (corner + dt * dt) + strayed
+        still = 1.0 - (dt / max(stop, dt)) ** 2  # the share of that way that braking goes
         values, broken, rows = [], [], []
         for i, (barrier, unit) in enumerate(zip(self.barriers, self._units)):
             here = measured(barrier, arm)
@@ -126,7 +128,7 @@ class OwnBarriers:
                 broken.append(barrier.name)
                 continue
             gradient = end.gradient / unit
-            value = max(end.value / unit - kept, 0.0) - float(gradient @ rest)
+            value = max(end.value / unit - kept, 0.0) - still * float(gradient @ rest)
             rows.append(_Row(gradient, 0.0, value, i, OWN_AT_REST))
         return OwnRows(_barriers(rows, len(arm.q)), tuple(values), tuple(broken))
 

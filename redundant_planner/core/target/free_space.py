@@ -15,6 +15,7 @@ from redundant_planner.core.horizon.least_norm_path import PathJoints
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.shapes import HALF_SPACE
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.own_barriers import OwnBarriers
 from redundant_planner.core.target.straight_motion import (
     Around,
@@ -250,6 +251,12 @@ class FreeSpace:
         low, high = self.joints.position_min, self.joints.position_max
         return (np.where(np.isfinite(low), low, q - math.pi),
                 np.where(np.isfinite(high), high, q + math.pi))
+
+    def price_of_end(self, postures: Array) -> Array:
+        """Return what it costs to end at postures (…, n) that are not the preferred one."""
+        joints = self.joints
+        off = nearest_turn(postures, joints.preferred, joints.position_max) - joints.preferred
+        return np.asarray(joints.preference * np.linalg.norm(np.nan_to_num(off), axis=-1))
 
     def distance(self, one: Array, other: Array) -> Array:
         """Return how far postures (…, n) are apart, joint weights included."""

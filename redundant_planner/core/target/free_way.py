@@ -33,7 +33,9 @@ Array = npt.NDArray[np.float64]
 
 # What looking at a distance takes, about, and what a tick spends on them at most [s].
 _DISTANCE, _MOST_WORK = 3e-8, 1.2e-3
-# After this time any way will do; after that the tip goes as near as a line takes it [s].
+# After this time any way will do, in searches for the same target after ever less: those that are
+# good are alike, and the filter may stop each. After that the tip goes as near as a line takes it
+# [s].
 _LATE, _LONGEST = 0.25, 1.0
 # After this time without a way a tick works a quarter as much [s].
 _DILIGENT = 5.0
@@ -286,7 +288,7 @@ class FreeWay:
             return
         polygon = finder.found
         if polygon is None:
-            finder.think(self._work(start.dt), any_way=self._age >= _LATE)
+            finder.think(self._work(start.dt), any_way=self._age >= _LATE / self._searches)
             self.out_of_reach = search.out_of_reach
         else:  # this tick has not worked yet
             if self._is_blocked(polygon, space()):

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.robot.se3 import Poses, stacked
-from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.target.elastic_band import pulled_tight
 from redundant_planner.core.target.free_space import FreeSpace, Place, places_of, stacked_places
 from redundant_planner.core.target.goal import Goal
@@ -45,8 +44,8 @@ Way = list[Place]
 Thing = TypeVar('Thing')
 
 # Room that ways have, in turn, but for their ends: much lets the arm go fast, little finds ways
-# through gaps [m]. A way with little counts as longer by this factor.
-_ROOMS, _PRICE_OF_GAPS = (0.01, 0.002), 1.3
+# through gaps [m]. A way with little counts as longer by a factor.
+_ROOMS, _PRICES = (0.01, 0.002), {0.01: 1.0, 0.002: 1.3}
 # An arm that is found closer than its margin may start on a way all the same, within this, and a
 # goal keeps so much [m].
 _INSIDE, _AT_GOAL = 2e-3, 1e-4
@@ -61,11 +60,9 @@ _LOOKS_AROUND = 10
 _GUESSES, _GOALS, _FEWEST_GUESSES, _OF_FAMILY = 60, 12, 12, 3
 # Guesses without any posture after which a pose counts as out of reach.
 _GUESSES_OUT_OF_REACH = 300
-# A way is better if it costs no more than this share of the best.
-_BETTER = 0.98
-# A straight motion to a goal that is further than the nearest by this share is as good, and a way
-# that costs no more than this factor of it is good.
-_AS_GOOD, _GOOD = 1.05, 1.1
+# A way is better at this share of the best one's price. At these factors of what the cheapest
+# straight motion would cost, a straight one is as good, and any way is good.
+_BETTER, _AS_GOOD, _GOOD = 0.98, 1.05, 1.1
 # Longest branch that is tried at once [rad, joint weights included]: anywhere, where the way may
 # have little room, and where the tip stays in a cone.
 _BRANCH, _BRANCH_IN_GAPS, _BRANCH_IN_CONE = 0.8, 0.5, 0.2
@@ -88,8 +85,8 @@ class PathSearch:
     Attributes:
         way: the shortest way that is known, None if none is.
         room: that it has [m].
-        straight: whether it is one straight motion to the nearest goal that is known.
-        good: whether it costs little more than any might: a straight motion to the best goal.
+        straight: whether it is one straight motion, and costs hardly more than any way might.
+        good: whether it costs little more than any way might, a straight one to the best goal.
         shortened: whether it has been made shorter, roughly at least.
         rounds: how many attempts have ended since the first way was found.
         out_of_reach: whether no posture with the tip at the pose is known after many guesses.
@@ -118,9 +115,10 @@ class PathSearch:
         self._goals: list[Place] = []
         self._tightest: Array | None = None  # room (k,) of the goal that is nearly free
         self._random = np.random.default_rng(seed)
+        self._several = not isinstance(target, np.ndarray)
         self._postures = (
-            only_posture(space, start, target) if isinstance(target, np.ndarray) else
-            goal_postures(space, start, stacked(target), self._random))
+            goal_postures(space, start, stacked(target), self._random)
+            if not isinstance(target, np.ndarray) else only_posture(space, start, target))
         self._guesses, self._reached = 0, False
         self._ranges = space.joint_ranges(start)
         self._memory: Motion | None = None
@@ -142,7 +140,7 @@ class PathSearch:
             if not self._goals or (self._start.room < -_INSIDE).any():
                 yield from self._explore()
                 continue
-            if self._most(room) <= self._away.min():
+            if (self._most(room) <= self._away).all():
                 self._space.spend(_COST_OF_LOOK)
                 yield
                 # Where those with little room could not be better, others still may.
@@ -206,7 +204,7 @@ class PathSearch:
 
     def _guess(self) -> Generator[None, None, None]:
         """Look for goal postures."""
-        until = self._guesses + _GUESSES
+        until = self._guesses + (_GUESSES if self._several else 1)
         family: list[Place] = []
         while self._guesses < until and (
                 len(self._goals) < _GOALS or self._guesses < _FEWEST_GUESSES):
@@ -218,8 +216,7 @@ class PathSearch:
                 elif self._tightest is None or goal.room.min() > self._tightest.min():
                     self._tightest = goal.room
             if found is None:
-                family.sort(key=lambda goal: float(
-                    self._space.distance(self._start.q, goal.q)))
+                family.sort(key=lambda goal: float(self._space.distance(self._start.q, goal.q)))
                 self._goals += _evenly(family, _OF_FAMILY)
                 family = []
             self._guesses += found is None
@@ -232,42 +229,45 @@ class PathSearch:
         if not self._gives_way:
             return
         if self._trees is None:
-            start = stacked_places([self._start])
-            self._trees = new_trees(_MOST_NODES, start, (start[0][:0], start[1][:0]))
+            (q, room) = stacked_places([self._start])
+            self._trees = new_trees(_MOST_NODES, (q, room), (q[:0], room[:0]))
         yield from self._grow(self._trees, _LOOKS_AROUND, _ROOMS[-1])
 
     def _price_of(self, way: Way, room: float) -> float:
         """Return what a way with some room costs: its length, if nothing else counts."""
-        joints, end = self._space.joints, way[-1].q
-        off = np.nan_to_num(nearest_turn(end, joints.preferred, joints.position_max)
-                            - joints.preferred)
-        return self.length(way) * (1.0 if room == _ROOMS[0] else _PRICE_OF_GAPS) + (
-            joints.preference * float(np.linalg.norm(off)))
+        return self.length(way) * _PRICES[room] + float(self._space.price_of_end(way[-1].q))
 
     def _note(self, way: Way, room: float) -> None:
         """Keep a way with some room if it is the best."""
         price = self._price_of(way, room)
         if price < self._price:
             self._price, self.room = price, room
-            least = min(self._price_of([self._start, goal], _ROOMS[0]) for goal in self._goals)
+            self._unmet.clear()  # they lead to goals that no longer count
+            self._space.spend(_COST_OF_LOOK)
+            least = float((self._away + self._space.price_of_end(self._ends)).min())
             self.straight = len(way) == 2 and price <= _AS_GOOD * least
             self.good, self.way, self.aside = price <= _GOOD * least, way, False
 
-    def _most(self, room: float) -> float:
-        """Return how long a way with some room may be to be the best [rad, weights included]."""
-        return _BETTER * self._price / (1.0 if room == _ROOMS[0] else _PRICE_OF_GAPS)
+    def _most(self, room: float) -> Array:
+        """Return how long a way to each goal may be to be the best [rad, weights included]."""
+        return (_BETTER * self._price - self._space.price_of_end(self._ends)) / _PRICES[room]
+
+    @property
+    def _ends(self) -> Array:
+        """The postures (k, n) of the goals."""
+        return np.array([goal.q for goal in self._goals]).reshape(-1, len(self._start.q))
 
     @property
     def _away(self) -> Array:
         """How far each goal is [rad, joint weights included]."""
-        return self._space.distance(self._start.q, stacked_places(self._goals)[0])
+        return self._space.distance(self._start.q, self._ends)
 
     def _connected(self, room: float) -> Generator[None, None, Way | None]:
         """Return a way with some room to any goal, None where trees have not met so far."""
         space, start, goals = self._space, self._start, self._goals
         needed, away, most = space.asked(room), self._away, self._most(room)
-        for i in np.argsort(away):
-            if (room, int(i)) in self._blocked or away[i] >= most:
+        for i in np.argsort(away - most if np.isfinite(self._price) else away):
+            if (room, int(i)) in self._blocked or away[i] >= most[i]:
                 continue
             yield
             if (yield from space.is_free_between(start, goals[i], needed)):
@@ -276,7 +276,7 @@ class PathSearch:
         trees, rooted = self._unmet.pop(room, (None, 0))
         if trees is None:
             trees = new_trees(_MOST_NODES, stacked_places([start]), stacked_places(
-                [goal for goal, far in zip(goals, away) if far < most]))
+                [goals[i] for i in np.flatnonzero(away < most)]))
             space.spend(_COST_OF_TREES)
             yield
         elif rooted < len(goals):
@@ -309,10 +309,10 @@ class PathSearch:
         space, (low, high) = self._space, self._ranges
         towards = self._random.uniform(low, high, (aims, len(low)))
         most = self._most(room)
-        if most < np.inf:
-            goals = stacked_places(self._goals)[0][self._away < most]
-            aimed = informed_samples(
-                self._random, aims, self._start.q, goals, most, space.joints.scaling)
+        within = np.flatnonzero(self._away < most)
+        if np.isfinite(self._price) and len(within):
+            aimed = informed_samples(self._random, aims, self._start.q, self._ends[within],
+                                     most[within], space.joints.scaling)
             inside = ((low <= aimed) & (aimed <= high)).all(axis=1)
             towards[inside] = aimed[inside]
         if trees.numbers[:2].all():

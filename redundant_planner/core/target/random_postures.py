@@ -14,32 +14,32 @@ _NEAR_TREES = 0.9
 
 
 def informed_samples(
-    random: np.random.Generator, count: int, start: Array, goals: Array, most: float,
+    random: np.random.Generator, count: int, start: Array, goals: Array, most: Array,
     scaling: Array,
 ) -> Array:
-    """Return postures (count, n) that are no further from the start and a goal than allowed.
+    """Return postures (count, n) that lie on a way to a goal which is short enough.
 
-    They fill the ellipsoid with its foci at the start and a goal evenly, each goal's in turn:
-    other postures are on no way that is short enough (Gammell, Srinivasa and Barfoot 2014).
+    They fill the ellipsoid with its foci at the start and a goal, any one, evenly: other postures
+    are on no such way (Gammell, Srinivasa and Barfoot 2014).
 
     Args:
         random: the numbers.
         count: how many postures.
         start: (n,) one end of a way.
-        goals: (g, n) other ends, each nearer to the start than `most`, g ≥ 1.
-        most: how long a way may be [rad, joint weights included].
+        goals: (g, n) other ends, each nearer to the start than its `most`, g ≥ 1.
+        most: (g,) how long a way to each may be [rad, joint weights included].
         scaling: (n,) 1 / square root of the joint weights.
     """
     n = len(start)
-    focus = start / scaling
-    other = goals[np.arange(count) % len(goals)] / scaling
+    goal = (random.random(count) * len(goals)).astype(np.intp)
+    focus, other, longest = start / scaling, goals[goal] / scaling, most[goal, None]
     apart = np.linalg.norm(other - focus, axis=1, keepdims=True)
     # A goal at the start has no direction, and needs none: its ellipsoid is a ball.
     along = (other - focus) / np.where(apart > 0.0, apart, 1.0)
     ball = random.normal(size=(count, n))
     ball *= random.random((count, 1)) ** (1.0 / n) / np.linalg.norm(ball, axis=1, keepdims=True)
-    across = 0.5 * np.sqrt(np.maximum(most * most - apart * apart, 0.0))
-    longer = (0.5 * most - across) * (ball * along).sum(axis=1, keepdims=True)
+    across = 0.5 * np.sqrt(np.maximum(longest * longest - apart * apart, 0.0))
+    longer = (0.5 * longest - across) * (ball * along).sum(axis=1, keepdims=True)
     return np.asarray(scaling * (0.5 * (focus + other) + across * ball + longer * along))
 
 
