@@ -32,7 +32,7 @@ from redundant_planner.core.target.patience import Patience
 Array = npt.NDArray[np.float64]
 
 # What looking at a distance takes, about, and what a tick spends on them at most [s].
-_DISTANCE, _MOST_WORK = 3e-8, 1.2e-3
+_DISTANCE, _MOST_WORK = 3.5e-8, 1.2e-3
 # After this time any way will do, in searches for the same target after ever less: those that are
 # good are alike, and the filter may stop each. After that the tip goes as near as a line takes it
 # [s].
