@@ -112,7 +112,7 @@ class Guilty(NamedTuple):
         awake_speed, awake_way: once it wakes up, until a fresh command: the fastest any joint
             moves and how far [rad/s], [rad].
         follows: whether it follows a fresh command then.
-        moved: how far a joint was off by then, at most [rad].
+        off: how far a joint was by then from where its commands lead, at most [rad].
         step, acceleration: see `Innocent`.
     """
 
@@ -124,7 +124,7 @@ class Guilty(NamedTuple):
     awake_speed: float
     awake_way: float
     follows: bool
-    moved: float
+    off: float
     step: float
     acceleration: float
 
@@ -253,7 +253,9 @@ def guilty(case: str, output: str, command: str) -> Guilty:
         moves[1:] |= np.abs(np.diff(commands.positions, axis=0)).max(axis=1) > _REST / _RATE
         moving = commands.times[moves]
     rest = float(moving[-1]) - first if len(moving) else 0.0
-    moved = float(np.abs(run.motion(begin).positions - at).max())
+    there = (at + commands.velocities.sum(axis=0) / _RATE if output == VELOCITY
+             else commands.positions[-1])
+    off = float(np.abs(run.manager.q - there).max())
     run.manager.settings = Settings()
     begin = run.now
     run.run(1.0)
@@ -266,7 +268,7 @@ def guilty(case: str, output: str, command: str) -> Guilty:
     follows = not run.error and bool(np.abs(run.manager.q - at).max() > 0.1)
     return Guilty(
         case, output, command, found_at - first, rest, float(np.abs(awake.velocities).max()),
-        float(np.abs(awake.positions - awake.positions[0]).max()), follows, moved,
+        float(np.abs(awake.positions - awake.positions[0]).max()), follows, off,
         *steps_of(robot, run.commands()))
 
 

@@ -40,14 +40,20 @@ _FORGETTING, _FORGETTING_MOVES = 3.0, 0.5
 _GAIN = 1.1
 # Measured motion within this is noise [rad, m].
 _NOISE = 2.5e-3
-# An arm that moves without a command so soon after the first one takes it for another joint's, or
-# was elsewhere for its controller: positions make it leap [s].
-_JUST_BEGUN = 0.3
-# A joint that is behind by this share of the tolerance is named beside one that moves by itself.
-_SOMEWHAT = 0.25
+# An arm that moves so far without a command so soon after the first one takes it for another
+# joint's, or was elsewhere for its controller: positions make it leap [rad, m], [s].
+_LEAP, _JUST_BEGUN = 0.1, 0.3
 # A joint that was told to move so far, and has done so by this share, follows; one that was told
-# three times as much and has not does not [rad, m].
-_FIRST_MOTION, _FIRST_SHARE = 0.01, 0.3
+# three times as much and has not does not [rad, m]. Joints that were told less than the second
+# share of what was told most are too slow to tell.
+_FIRST_MOTION, _FIRST_SHARE, _SLOW_SHARE = 0.01, 0.3, 0.25
+# Joints seem to be in another order where what they moved by is nearer by more than this factor to
+# what they were told, each taken for another, than each taken for itself. They have not moved
+# further than they were told, as an arm that is pushed has. All that shows in the beginning of a
+# motion [rad, m].
+_NEARER, _AS_FAR, _BEGINNING = 5.0, 1.1, 0.6
+# Joints that have moved by less than this share of the one that moved furthest are not named.
+_HARDLY = 0.1
 
 # What to check where a joint moves without a command: another one than the one that stays behind,
 # or the same one, against its command.
@@ -57,9 +63,11 @@ _WHAT_PULLS_IT = 'is the load more than the drives can hold, or does something e
 
 # Rows of the state: what was lost and what is owed; what was moved without a command, and that
 # without forgetting; the measurement without its noise; the travel told within the dead time,
-# before it with the weights of the lag, and of late; and all that was told and done since it
-# began, or the arm stood [rad, m].
-_LOST, _OWED, _BESIDE, _AWAY, _MEASURED, _WITHIN, _BEFORE, _RECENT, _TOLD, _DONE = range(10)
+# before it with the weights of the lag, and of late; where the arm began, or stood; and since then
+# all that was told and done, how far from there it was told to be, and least and most of that
+# [rad, m].
+(_LOST, _OWED, _BESIDE, _AWAY, _MEASURED, _WITHIN, _BEFORE, _RECENT, _STOOD, _TOLD, _DONE,
+ _SHIFT, _LEAST, _MOST) = range(14)
 
 
 class Following:
@@ -75,9 +83,10 @@ class Following:
         """Prepare for n joints and ticks of dt [s]."""
         self.tolerance, self.moves_alone, self.sets_off = tolerance, False, True
         self._names, self._dt = joint_names, dt
-        self._state = np.zeros((10, len(joint_names)))
+        self._state = np.zeros((14, len(joint_names)))
         self._travels = np.zeros((1, len(joint_names)))
         self._at = self._begins = 0
+        self._disorder = 0.0  # summed up over what was told since the arm stood [rad, m]
         self._lag = LAG
 
     def begin(self, measured: Array, lag: float = 0.0, dead_time: float = 0.0) -> None:
@@ -88,7 +97,8 @@ class Following:
             lag, dead_time: of its drives, as far as they are known [s].
         """
         self._state[:] = 0.0
-        self._state[_MEASURED], self.sets_off = measured, True
+        self._state[_MEASURED] = self._state[_STOOD] = measured
+        self._disorder, self.sets_off = 0.0, True
         self._lag = LAG + lag
         ticks = round((DEAD_TIME + dead_time) / self._dt) + 1
         self._travels, self._at = np.zeros((ticks, len(measured))), 0
@@ -115,19 +125,11 @@ class Following:
 
     @property
     def has_followed(self) -> bool:
-        """Whether the joint that was told most has done its first motion."""
-        told, done = self._first_motion
-        return told >= _FIRST_MOTION and done >= _FIRST_SHARE * told
-
-    @property
-    def _first_motion(self) -> tuple[float, float]:
-        """What the joint was told that was told most, and what it has done [rad, m]."""
-        most = self._told_most
-        return float(self._state[_TOLD, most]), float(self._state[_DONE, most])
-
-    @property
-    def _told_most(self) -> int:
-        return int(self._state[_TOLD].argmax())
+        """Whether the joints have done their first motion, those that were told much."""
+        told, done = self._state[_TOLD], self._state[_DONE]
+        most = float(told.max())
+        return most >= _FIRST_MOTION and bool(
+            (done >= _FIRST_SHARE * told)[told >= _SLOW_SHARE * most].all())
 
     def tick(self, dq: Array, measured: Array, ages: Array, *, tries: bool = False) -> str:
         """Take a tick; say which joints do not follow, if any does not.
@@ -140,25 +142,50 @@ class Following:
         """
         at, self._at = self._at, (self._at + 1) % len(self._travels)
         self._begins -= 1
-        stays, self.moves_alone, stands = _watch(
+        late, self.moves_alone, stands, disorder = _watch(
             self._state, self._travels[at], dq, measured, ages, self.tolerance, self._lag,
             self._dt)
+        self._disorder = max(self._disorder + disorder, 0.0)
+        other_order = ''
+        if 0.0 < self.tolerance < self._disorder:
+            self.moves_alone, other_order = True, self._words_of_an_order(measured)
         if stands and not tries:
-            self._state[_TOLD:], self.sets_off = 0.0, True
+            self._state[_STOOD], self._state[_TOLD:] = measured, 0.0
+            self._disorder, self.sets_off = 0.0, True
         elif self.sets_off:
             self.sets_off = not self.has_followed
-        leaps = self.moves_alone and self._begins > 0
-        if tries and ages[self._told_most] <= 0.0:
-            told, done = self._first_motion
-            stays = stays or (told >= 3.0 * _FIRST_MOTION and done < _FIRST_SHARE * told)
-        if self.tolerance <= 0.0 or not (stays or leaps):
+        if self.tolerance <= 0.0:
             return ''
-        return (self._words() if stays or self._behind.max() > _SOMEWHAT * self.tolerance
-                else self._words_of_a_leap())
+        if other_order:
+            return other_order
+        if late or (tries and self._has_not_followed(ages)):
+            return self._words()
+        return self._words_of_a_leap() if self._begins > 0 and self._leaps else ''
+
+    def _has_not_followed(self, ages: Array) -> bool:
+        """Return whether a joint has not done its first motion, as measured just now."""
+        told, done = self._state[_TOLD], self._state[_DONE]
+        return bool(((told >= 3.0 * _FIRST_MOTION) & (done < _FIRST_SHARE * told)
+                     & (ages <= 0.0)).any())
+
+    def _words_of_an_order(self, measured: Array) -> str:
+        told, moved = self._state[_SHIFT], measured - self._state[_STOOD]
+        off = np.abs(moved - told * np.sqrt((moved @ moved) / (told @ told)))
+        pairs = ', '.join(
+            f"joint '{self._names[i]}' moves as '{self._names[j]}' was told"
+            for i, j in sorted(zip(moved.argsort().tolist(), told.argsort().tolist()))
+            if off[i] > _HARDLY * off.max() and abs(moved[i]) > _HARDLY * np.abs(moved).max())
+        return f'the arm does not follow: {pairs}; {_WHO_MOVES_IT}'
 
     @property
     def _behind(self) -> Array:
         return np.array([_behind(self._state, i) for i in range(len(self._names))])
+
+    @property
+    def _leaps(self) -> bool:
+        """Whether a joint of late has moved far without a command."""
+        far = max(_LEAP, self.tolerance)
+        return bool((np.abs(self._state[_BESIDE]) > far + self._state[_RECENT]).any())
 
     @property
     def _movers(self) -> list[int]:
@@ -184,8 +211,8 @@ class Following:
                           for i in late)
         if not movers:
             return (f'the arm does not follow: {stand} rad or m; is its controller active, does '
-                    'it listen to this output, does the hardware move, and can its drives move '
-                    'the load?')
+                    'it listen to this output, does the hardware move, can its drives move the '
+                    'load, or does something hold it?')
         # Where two are swapped, one that stays behind is another than the one that moves.
         swapped = not set(late) & set(movers)
         return (f'the arm does not follow: {stand} rad or m, while joint {self._named(movers)} '
@@ -206,13 +233,50 @@ def _of_what_is_left(moved: float, left: float) -> float:
 
 
 @compiled
+def _is_elsewhere(state: OutMatrix, moved: Vector, tolerance: float) -> bool:
+    """Return whether a joint is further than a tolerance from all places on its way [rad, m].
+
+    Whatever is late is on its way, each joint as late as it may be.
+    """
+    elsewhere = False
+    for i in range(len(moved)):
+        elsewhere = elsewhere or moved[i] > state[_MOST, i] + tolerance or (
+            moved[i] < state[_LEAST, i] - tolerance)
+    return elsewhere
+
+
+@compiled
+def _disorder(told: Vector, moved: Vector) -> float:
+    """Return how much joints seem to be in another order, 1 at most, 0 if that cannot be told.
+
+    Of all orders, that in which the joint that moved furthest is the one that was told most, and
+    so on, leaves the smallest sum of squares (the rearrangement inequality). An arm that is late
+    has done a part of what it was told.
+
+    Args:
+        told, moved: (n,) how far the joints were told to go, and have gone [rad, m].
+    """
+    far, asked = (moved * moved).sum(), (told * told).sum()
+    if asked <= 0.0 or far > _AS_FAR**2 * asked or asked > _BEGINNING**2:
+        return 0.0
+    share = np.sqrt(far / asked)
+    apart = moved - share * told
+    off = (apart * apart).sum()
+    if off <= 0.0:
+        return 0.0
+    apart = np.sort(moved) - share * np.sort(told)
+    return 1.0 - _NEARER * np.sqrt((apart * apart).sum() / off)
+
+
+@compiled
 def _watch(
     state: OutMatrix, travels: OutVector, dq: Vector, measured: Vector, ages: Vector,
     tolerance: float, lag: float, dt: float,
-) -> tuple[bool, bool, bool]:
+) -> tuple[bool, bool, bool, float]:
     """Bring the state up to date.
 
-    Returns whether a joint does not follow, whether one moves alone, and whether all stand.
+    Returns whether a joint does not follow, whether one moves alone, whether all stand, and the
+    joints' disorder times how far they were told to move [rad, m].
 
     Args:
         state: of `Following`.
@@ -223,7 +287,7 @@ def _watch(
     """
     kept, kept_moves = 1.0 - dt / (dt + _FORGETTING), 1.0 - dt / (dt + _FORGETTING_MOVES)
     kept_before = 1.0 - dt / (dt + lag)
-    late, stays, moves, stands = False, -1, -1, True
+    late, moves, stands = False, False, True
     for i in range(len(dq)):
         told = dq[i] * dt
         state[_WITHIN, i] = max(state[_WITHIN, i] + abs(told) - travels[i], 0.0)
@@ -246,15 +310,17 @@ def _watch(
         state[_BESIDE, i] = kept_moves * state[_BESIDE, i] + beside
         state[_AWAY, i] = kept * state[_AWAY, i] + beside
         state[_TOLD, i] += abs(told)
+        state[_SHIFT, i] += told
+        state[_LEAST, i] = min(state[_LEAST, i], state[_SHIFT, i])
+        state[_MOST, i] = max(state[_MOST, i], state[_SHIFT, i])
         state[_DONE, i] += abs(done)
-        behind = _behind(state, i)
         # A joint that is told nothing loses nothing more.
         if ages[i] <= 0.0 and told * state[_LOST, i] > 0.0:
-            late = late or behind > tolerance + late_by
-            if behind > tolerance + 0.5 * late_by:
-                stays = i
+            late = late or _behind(state, i) > tolerance + late_by
         # An arm that comes to rest late coasts by no more than it was told of late.
-        if abs(state[_BESIDE, i]) > tolerance + state[_RECENT, i]:
-            moves = i
+        moves = moves or abs(state[_BESIDE, i]) > tolerance + state[_RECENT, i]
         stands = stands and late_by < _NOISE
-    return late or (stays >= 0 and moves >= 0 and stays != moves), moves >= 0, stands
+    shifted, disorder = measured - state[_STOOD], 0.0
+    if _is_elsewhere(state, shifted, 0.5 * tolerance):
+        disorder = _disorder(state[_SHIFT], shifted) * np.sqrt((dq * dq).sum()) * dt
+    return late, moves, stands, disorder

@@ -268,10 +268,12 @@ def _slid(
         return None
     change = then.dq - previous
     step = limits.acceleration_max * dt
-    if then.dq @ then.dq > previous @ previous:
+    # What turns back brakes at once: it would else go to and fro about the place where it ends.
+    turns_back = then.dq @ previous < 0.0
+    if not turns_back and then.dq @ then.dq > previous @ previous:
         step *= _SPEEDING_UP
     next_one = previous + change * min(
-        dt / (dt + _TURNING_ASIDE),
+        1.0 if turns_back else dt / (dt + _TURNING_ASIDE),
         float((step / np.maximum(np.abs(change), TOLERANCE)).min()))
     found, _ = solve(slide._replace(
         desired=next_one, twist=request.jacobian @ next_one + request.turning))

@@ -8,10 +8,9 @@ random numbers are the same, and so is the result.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from itertools import pairwise
 import math
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,8 +25,8 @@ from redundant_planner.core.target.random_postures import informed_samples, near
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
 from redundant_planner.core.target.straight_motion import Motion, new_motion
 from redundant_planner.core.target.tree_growth import (
-    add_goals,
     cut_off,
+    enlarged,
     grow,
     GROWING,
     MET,
@@ -37,11 +36,11 @@ from redundant_planner.core.target.tree_growth import (
     Trees,
     USED,
     way_between,
+    with_goals,
 )
 
 Array = npt.NDArray[np.float64]
 Way = list[Place]
-Thing = TypeVar('Thing')
 
 # Room that ways have, in turn, but for their ends: much lets the arm go fast, little finds ways
 # through gaps [m]. A way with little counts as longer by a factor.
@@ -69,9 +68,8 @@ _BRANCH, _BRANCH_IN_GAPS, _BRANCH_IN_CONE = 0.8, 0.5, 0.2
 # Random postures that trees grow towards, drawn at once, and what trees and a look at all goals
 # cost, in distances.
 _AIMS, _COST_OF_TREES, _COST_OF_LOOK = 256, 3000, 1000
-# Nodes of both trees together after which they are given up, and the work at them in one attempt,
-# in distances: then those with other room have their turn.
-_MOST_NODES, _WORK = 10_000, 1_000_000
+# Work at trees in one attempt, in distances: then those with other room have their turn.
+_WORK = 1_000_000
 # Attempts at a shortcut and how many in vain end them, of any way and of one that may become the
 # best: one that costs less than this factor of it by then.
 _ROUGHLY, _THOROUGHLY, _PROMISES = (60, 20), (300, 60), 1.1
@@ -189,7 +187,8 @@ class PathSearch:
         if self._trees is None:
             return
         trees, space = self._trees, self._space
-        looked_at = _evenly(range(int(trees.numbers[0])), _MOST_ASIDE)
+        count = int(trees.numbers[0])
+        looked_at = range(0, count, math.ceil(count / _MOST_ASIDE))
         postures = trees.postures[0, looked_at]
         best = looked_at[int(np.argmax(
             space.away(postures) - _PRICE_OF_ASIDE * space.distance(self._start.q, postures)))]
@@ -217,7 +216,7 @@ class PathSearch:
                     self._tightest = goal.room
             if found is None:
                 family.sort(key=lambda goal: float(self._space.distance(self._start.q, goal.q)))
-                self._goals += _evenly(family, _OF_FAMILY)
+                self._goals += family[::max(math.ceil(len(family) / _OF_FAMILY), 1)]
                 family = []
             self._guesses += found is None
             self._reached = self._reached or bool(found)
@@ -230,7 +229,7 @@ class PathSearch:
             return
         if self._trees is None:
             (q, room) = stacked_places([self._start])
-            self._trees = new_trees(_MOST_NODES, (q, room), (q[:0], room[:0]))
+            self._trees = new_trees((q, room), (q[:0], room[:0]))
         yield from self._grow(self._trees, _LOOKS_AROUND, _ROOMS[-1])
 
     def _price_of(self, way: Way, room: float) -> float:
@@ -275,15 +274,15 @@ class PathSearch:
             self._blocked.add((room, int(i)))
         trees, rooted = self._unmet.pop(room, (None, 0))
         if trees is None:
-            trees = new_trees(_MOST_NODES, stacked_places([start]), stacked_places(
+            trees = new_trees(stacked_places([start]), stacked_places(
                 [goals[i] for i in np.flatnonzero(away < most)]))
             space.spend(_COST_OF_TREES)
             yield
         elif rooted < len(goals):
-            add_goals(trees, *stacked_places(goals[rooted:]))
+            trees = with_goals(trees, *stacked_places(goals[rooted:]))
         self._trees, until = trees, space.spent + _WORK
         while space.spent < until:
-            ended = yield from self._grow(trees, _AIMS, room)
+            ended, trees = yield from self._grow(trees, _AIMS, room)
             if ended == TOO_LARGE:
                 return None
             if ended == MET:
@@ -304,8 +303,10 @@ class PathSearch:
                 return i
         return None
 
-    def _grow(self, trees: Trees, aims: int, room: float) -> Generator[None, None, int]:
-        """Grow trees towards so many random postures with some room; return how that ended."""
+    def _grow(
+        self, trees: Trees, aims: int, room: float,
+    ) -> Generator[None, None, tuple[int, Trees]]:
+        """Grow trees to so many random postures with some room; return how it ended, and them."""
         space, (low, high) = self._space, self._ranges
         towards = self._random.uniform(low, high, (aims, len(low)))
         most = self._most(room)
@@ -327,8 +328,11 @@ class PathSearch:
                 space.joints.position_min, space.joints.position_max, space.reach,
                 space.at_once, space.robot.chain, space.around)
             space.spend(looked * space.cost)
-            if ended != GROWING:
-                return ended
+            if ended == TOO_LARGE and (larger := enlarged(trees)) is not None:
+                trees = self._trees = larger
+                space.spend(_COST_OF_TREES)
+            elif ended != GROWING:
+                return ended, trees
             yield
 
     def _improved(self, way: Way, room: float) -> Generator[None, None, None]:
@@ -392,8 +396,3 @@ class PathSearch:
                 len(self._start.q), len(self._start.room),
                 float((ends.max(axis=0) - ends.min(axis=0)).max(initial=0.0)))
         return self._memory
-
-
-def _evenly(places: Sequence[Thing], most: int) -> Sequence[Thing]:
-    """Return so many of a sequence at most, evenly spread, the first one among them."""
-    return places[::max(math.ceil(len(places) / most), 1)]

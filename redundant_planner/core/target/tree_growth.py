@@ -39,6 +39,9 @@ from redundant_planner.core.target.straight_motion import (
 
 Array = npt.NDArray[np.float64]
 
+# Postures that trees have memory for at first, as the first touch of much takes milliseconds, and
+# most of them: both together.
+_FEW_NODES, _MOST_NODES = 512, 4096
 # Looking for the nearest of so many postures costs as much as looking at one.
 _NEAREST_AT_ONCE = 300
 # Steps that lead a posture into the tip's cone, to this share of its angle inside.
@@ -74,33 +77,55 @@ class Trees(NamedTuple):
     room: OutVector
 
 
-def new_trees(most: int, starts: tuple[Array, Array], goals: tuple[Array, Array]) -> Trees:
+def new_trees(starts: tuple[Array, Array], goals: tuple[Array, Array]) -> Trees:
     """Return trees that have roots only.
 
     Args:
-        most: postures of a tree.
         starts, goals: postures (r, n) and their room (r, k); of goals, r may be 0.
     """
+    most = max(_FEW_NODES, 2 * len(starts[0]), 2 * len(goals[0]))
     n, k = starts[0].shape[1], starts[1].shape[1]
     trees = Trees(
-        np.empty((2, most, n)), np.empty((2, most, k)), np.full((2, most), -1, dtype=np.intp),
+        np.empty((2, most, n)), np.empty((2, most, k)), np.empty((2, most), dtype=np.intp),
         np.zeros(9, dtype=np.intp), np.empty(n), np.empty(k))
     for tree, (postures, rooms) in enumerate((starts, goals)):
         trees.postures[tree, :len(postures)] = postures
         trees.rooms[tree, :len(postures)] = rooms
+        trees.parents[tree, :len(postures)] = -1
         trees.numbers[tree] = len(postures)
     return trees
 
 
-def add_goals(trees: Trees, postures: Array, rooms: Array) -> None:
-    """Add goals (r, n) with room (r, k) to the second tree, as far as it has room for them."""
+def enlarged(trees: Trees) -> Trees | None:
+    """Return the same trees with memory for twice as many postures; None if they have most."""
+    wide = min(2 * trees.postures.shape[1], _MOST_NODES)
+    if wide <= trees.postures.shape[1]:
+        return None
+    postures, rooms, parents = (
+        np.empty((2, wide, *part.shape[2:]), dtype=part.dtype)
+        for part in (trees.postures, trees.rooms, trees.parents))
+    for tree, count in enumerate(trees.numbers[:2]):
+        postures[tree, :count] = trees.postures[tree, :count]
+        rooms[tree, :count] = trees.rooms[tree, :count]
+        parents[tree, :count] = trees.parents[tree, :count]
+    return trees._replace(postures=postures, rooms=rooms, parents=parents)
+
+
+def with_goals(trees: Trees, postures: Array, rooms: Array) -> Trees:
+    """Return trees with more goals (r, n) with room (r, k), as far as there is memory for them."""
     first = int(trees.numbers[_OTHER_COUNT])
+    while first + len(postures) >= trees.postures.shape[1]:
+        larger = enlarged(trees)
+        if larger is None:
+            break
+        trees = larger
     # A branch may always be added without asking.
     last = max(first, min(first + len(postures), trees.postures.shape[1] - 1))
     trees.postures[1, first:last] = postures[:last - first]
     trees.rooms[1, first:last] = rooms[:last - first]
     trees.parents[1, first:last] = -1
     trees.numbers[_OTHER_COUNT] = last
+    return trees
 
 
 def way_between(trees: Trees) -> tuple[Array, Array]:

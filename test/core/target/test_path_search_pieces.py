@@ -23,13 +23,16 @@ from redundant_planner.core.target.joint_way import JointWay
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
 from redundant_planner.core.target.straight_motion import new_motion
 from redundant_planner.core.target.tree_growth import (
-    add_goals,
     cut_off,
+    enlarged,
     grow,
+    GROWING,
     MET,
     new_trees,
     to_root,
+    TOO_LARGE,
     way_between,
+    with_goals,
 )
 
 PANDA = make_panda()
@@ -54,19 +57,21 @@ def dense_room(space, one, other):
 
 def grown(space, start, goals, seed, at_once=20):
     """Trees after they have met, in pieces of so many postures."""
-    trees = new_trees(2000, (start.q[None], start.room[None]),
+    trees = new_trees((start.q[None], start.room[None]),
                       tuple(np.array(part) for part in zip(*goals)))
     motion = new_motion(7, len(start.room), 6.0)
     aims = np.random.default_rng(seed).uniform(
         PANDA.position_min, PANDA.position_max, (4000, 7))
     ended, pieces = None, 0
-    while ended in (None, 0):
+    while ended in (None, GROWING, TOO_LARGE) and trees is not None:
         ended, looked = grow(
             trees, motion, aims, space.asked(0.002), space.joints.scaling, 0.8,
             space.joints.position_min, space.joints.position_max, space.reach, at_once,
             space.robot.chain, space.around)
         pieces += 1
         assert looked <= 2 * at_once + 10
+        if ended == TOO_LARGE:
+            trees = enlarged(trees)
     return trees, ended, pieces
 
 
@@ -102,7 +107,7 @@ def test_an_edge_is_cut_off_with_all_that_hangs_on_it_and_trees_grow_on(seed):
         {tuple(q) for q in trees.postures[tree, :trees.numbers[tree]]} for tree in range(2)]
     edge = int(random.integers(len(way) - 1))
     cut_off(trees, edge)
-    add_goals(trees, np.array([goals[2].q]), np.array([goals[2].room]))
+    trees = with_goals(trees, np.array([goals[2].q]), np.array([goals[2].room]))
     after = [trees.postures[tree, :trees.numbers[tree]] for tree in range(2)]
     kept = [{tuple(q) for q in postures} for postures in after]
     assert kept[0] <= before[0] and kept[1] - before[1] <= {tuple(goals[2].q)}
@@ -254,3 +259,38 @@ def test_goals_are_of_several_families_and_each_has_its_nearest(monkeypatch):
     for family, chosen in zip(families, of_each):
         nearest = min(family, key=lambda one: space.distance(PANDA_READY, one.q))
         assert not chosen or any(one.q is nearest.q for one in chosen)
+
+
+def test_trees_with_more_memory_hold_the_same_postures():
+    trees = new_trees((np.ones((1, 7)), np.ones((1, 4))), (np.zeros((2, 7)), np.zeros((2, 4))))
+    sizes = []
+    while trees is not None:
+        kept, size = trees, trees.postures.shape[1]
+        for tree in (0, 1):
+            count = int(trees.numbers[tree])
+            trees.postures[tree, count:size] = size + tree
+            trees.rooms[tree, count:size] = size
+            trees.parents[tree, count:size] = np.arange(count, size) - 1
+            trees.numbers[tree] = size
+        sizes.append(size)
+        trees = enlarged(trees)
+    assert len(sizes) > 2 and sizes[-1] <= 10_000
+    for tree, roots in ((0, 1), (1, 2)):
+        assert (kept.parents[tree, :roots] == -1).all()
+        assert (kept.parents[tree, roots:] == np.arange(roots, sizes[-1]) - 1).all()
+        ends = np.searchsorted(sizes, np.arange(roots, sizes[-1]), side='right')
+        assert (kept.rooms[tree, roots:] == np.array(sizes)[ends][:, None]).all()
+        assert (kept.postures[tree, roots:] == np.array(sizes)[ends][:, None] + tree).all()
+
+
+def test_goals_that_come_later_find_memory():
+    trees = new_trees((np.ones((1, 7)), np.ones((1, 4))), (np.zeros((1, 7)), np.zeros((1, 4))))
+    count = trees.postures.shape[1]
+    many = np.arange(7.0 * count).reshape(count, 7)
+    trees = with_goals(trees, many, np.ones((count, 4)))
+    assert trees.numbers[1] == count + 1
+    np.testing.assert_array_equal(trees.postures[1, 1:count + 1], many)
+    assert (trees.parents[1, :count + 1] == -1).all()
+    # One place is left for a branch, however many there are.
+    trees = with_goals(trees, np.zeros((20_000, 7)), np.ones((20_000, 4)))
+    assert trees.numbers[1] == trees.postures.shape[1] - 1
