@@ -89,7 +89,7 @@ def test_swapped_joints_are_named_before_they_are_far_off(command, pair):
     run.run(5.0)
     moved, told = run.motion(begin), run.commands(begin)
     way = told.velocities.sum(axis=0) / 250
-    assert np.abs(moved.positions[-1] - moved.positions[0] - way).max() < 0.05
+    assert np.abs(moved.positions[-1] - moved.positions[0] - way).max() < 0.1
     assert moved.times[np.abs(moved.velocities).max(axis=1) > 1e-9][-1] - begin <= 1.0
 
 

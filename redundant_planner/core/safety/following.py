@@ -17,6 +17,9 @@ But what a late joint has caught up with by its tenth more would be lost as soon
 turns round. So it is behind by the smaller of both, and by nothing where they differ in sign. Of
 what is owed, all that lateness does not explain is forgotten like what is lost.
 Nothing is known of a joint between its measurements: it is judged when one comes.
+
+Joints in another order do not wait until one is behind: a joint that is late is somewhere on the
+way that it was told, and one that does what another was told is not (`_disorder`).
 """
 
 from __future__ import annotations
@@ -175,7 +178,8 @@ class Following:
             f"joint '{self._names[i]}' moves as '{self._names[j]}' was told"
             for i, j in sorted(zip(moved.argsort().tolist(), told.argsort().tolist()))
             if off[i] > _HARDLY * off.max() and abs(moved[i]) > _HARDLY * np.abs(moved).max())
-        return f'the arm does not follow: {pairs}; {_WHO_MOVES_IT}'
+        return (f'the arm does not follow: {pairs}, {off.max():.3f} rad or m off; '
+                f'{_WHO_MOVES_IT}')
 
     @property
     def _behind(self) -> Array:
