@@ -173,7 +173,7 @@ class Following:
 
     def _words_of_an_order(self, measured: Array) -> str:
         told, moved = self._state[_SHIFT], measured - self._state[_STOOD]
-        off = np.abs(moved - told * np.sqrt((moved @ moved) / (told @ told)))
+        off = np.abs(moved - told * np.sqrt((moved @ moved) / max(told @ told, _NOISE**2)))
         pairs = ', '.join(
             f"joint '{self._names[i]}' moves as '{self._names[j]}' was told"
             for i, j in sorted(zip(moved.argsort().tolist(), told.argsort().tolist()))
