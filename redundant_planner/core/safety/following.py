@@ -39,7 +39,8 @@ DEAD_TIME, LAG = 0.2, 0.09
 # What joints lose, and what others move them by at rest, is forgotten in this time; what they move
 # without a command in this: a push does not count for long [s].
 _FORGETTING, _FORGETTING_MOVES = 3.0, 0.5
-# How much more than a joint has moved is taken to be done.
+# How much more than a joint has moved is taken to be done, and how much further than it was told
+# an arm goes at most: one that is pushed goes further.
 _GAIN = 1.1
 # Measured motion within this is noise [rad, m].
 _NOISE = 2.5e-3
@@ -51,10 +52,9 @@ _LEAP, _JUST_BEGUN = 0.1, 0.3
 # share of what was told most are too slow to tell.
 _FIRST_MOTION, _FIRST_SHARE, _SLOW_SHARE = 0.01, 0.3, 0.25
 # Joints seem to be in another order where what they moved by is nearer by more than this factor to
-# what they were told, each taken for another, than each taken for itself. They have not moved
-# further than they were told, as an arm that is pushed has. All that shows in the beginning of a
-# motion [rad, m].
-_NEARER, _AS_FAR, _BEGINNING = 5.0, 1.1, 0.6
+# what they were told, each taken for another, than each taken for itself. That shows in the
+# beginning of a motion [rad, m].
+_NEARER, _BEGINNING = 5.0, 0.6
 # Joints that have moved by less than this share of the one that moved furthest are not named.
 _HARDLY = 0.1
 
@@ -261,7 +261,7 @@ def _disorder(told: Vector, moved: Vector) -> float:
         told, moved: (n,) how far the joints were told to go, and have gone [rad, m].
     """
     far, asked = (moved * moved).sum(), (told * told).sum()
-    if asked <= 0.0 or far > _AS_FAR**2 * asked or asked > _BEGINNING**2:
+    if asked <= 0.0 or far > _GAIN**2 * asked or asked > _BEGINNING**2:
         return 0.0
     share = np.sqrt(far / asked)
     apart = moved - share * told
