@@ -322,8 +322,8 @@ class PlannerParameters:
                     'gaps. 0 is rougher.')
     target_effort: float = parameter(
         0.3, low=0.01, high=1.0, runtime=True, group='target',
-        description='Share of each period for the search for a way, 1.2 ms at most. With less the '
-                    'arm sets off later, and goes longer ways.')
+        description='Share of each period for the search for a way, 1.2 ms at most, on the way '
+                    '0.9. With less the arm sets off later, and goes longer ways.')
     target_margin: float = parameter(
         -1.0, low=-1.0, high=1.0, unit='m', runtime=True, group='target',
         description='Distance kept from obstacles on the way to a target, if that is less than '

@@ -210,6 +210,56 @@ def link_clearance(
     return Pairs(*along)
 
 
+@kernel
+def measure_link(
+    obstacles: InflatedObstacles, link: int, start: Place, end: Place, time: float,
+    enough: float, least: float, pairs: Pairs,
+) -> tuple[float, int]:
+    """Write what a link's row of `Pairs` is, unless it is known to be more than is asked for.
+
+    `pairs.distance` is what is known: it bounds the distances from below.
+
+    Args:
+        obstacles: as they are now.
+        link: which.
+        start, end: of its segment [m].
+        time: when it is there, from now [s].
+        enough: what is further away than this, and than the nearest, may keep its bound [m].
+        least: how near the nearest is that is known [m].
+        pairs: which are written.
+
+    Returns:
+        how near the nearest is then, and how many shapes other than ellipsoids were measured.
+    """
+    smallest, count, ellipsoids, measured = obstacles.smallest, len(obstacles.shapes), 0, 0
+    for obstacle in range(count):
+        ellipsoids += obstacles.shapes[obstacle] == ELLIPSOID
+    # As if all of them were ellipsoids: without a branch it is done for several at once.
+    for obstacle in range(count if ellipsoids > 0 else 0):
+        rho, t = _ellipsoid(obstacles, link, obstacle, time, start, end)
+        pairs.normalized_distance[link, obstacle] = rho
+        pairs.parameter[link, obstacle] = t
+    for obstacle in range(count):
+        if obstacles.shapes[obstacle] == ELLIPSOID:
+            pairs.distance[link, obstacle] = (
+                pairs.normalized_distance[link, obstacle] * smallest[link, obstacle])
+            continue
+        if pairs.distance[link, obstacle] > max(enough, least):
+            pairs.normalized_distance[link, obstacle] = (
+                pairs.distance[link, obstacle] / smallest[link, obstacle])
+            continue
+        rho, t = _other_shape(
+            obstacles, link, obstacle, time, start, end, max(enough, least))
+        distance = rho * smallest[link, obstacle]
+        measured += 1
+        if not obstacles.may_touch[link, obstacle]:
+            least = min(least, distance)
+        pairs.normalized_distance[link, obstacle] = rho
+        pairs.distance[link, obstacle] = distance
+        pairs.parameter[link, obstacle] = t
+    return least, measured
+
+
 @compiled
 def measure_unless(
     obstacles: InflatedObstacles, start: Matrix, end: Matrix, time: float, enough: float,
@@ -219,38 +269,49 @@ def measure_unless(
 
     `pairs.distance` is what is known of them: it bounds them from below.
     """
-    smallest, least = obstacles.smallest, np.inf
-    count, ellipsoids = len(obstacles.shapes), 0
-    for obstacle in range(count):
-        ellipsoids += obstacles.shapes[obstacle] == ELLIPSOID
+    least = np.inf
     for link in range(len(start)):
         if not obstacles.moved[link]:
             pairs.distance[link], pairs.normalized_distance[link] = np.inf, np.inf
             pairs.parameter[link] = 0.0
             continue
-        here, there = place(start, link), place(end, link)
-        # As if all of them were ellipsoids: without a branch it is done for several at once.
-        for obstacle in range(count if ellipsoids > 0 else 0):
-            rho, t = _ellipsoid(obstacles, link, obstacle, time, here, there)
-            pairs.normalized_distance[link, obstacle] = rho
-            pairs.parameter[link, obstacle] = t
-        for obstacle in range(count):
-            if obstacles.shapes[obstacle] == ELLIPSOID:
-                pairs.distance[link, obstacle] = (
-                    pairs.normalized_distance[link, obstacle] * smallest[link, obstacle])
-                continue
-            if pairs.distance[link, obstacle] > max(enough, least):
-                pairs.normalized_distance[link, obstacle] = (
-                    pairs.distance[link, obstacle] / smallest[link, obstacle])
-                continue
-            rho, t = _other_shape(
-                obstacles, link, obstacle, time, here, there, max(enough, least))
-            distance = rho * smallest[link, obstacle]
-            if not obstacles.may_touch[link, obstacle]:
-                least = min(least, distance)
-            pairs.normalized_distance[link, obstacle] = rho
-            pairs.distance[link, obstacle] = distance
-            pairs.parameter[link, obstacle] = t
+        least, _ = measure_link(
+            obstacles, link, place(start, link), place(end, link), time, enough, least, pairs)
+
+
+@compiled
+def measure_until(
+    obstacles: InflatedObstacles, start: Matrix, end: Matrix, enough: Vector, too_near: Vector,
+    pairs: Pairs,
+) -> int:
+    """Do what `measure_unless` does, for each link by itself, until one is too near.
+
+    The last links come first: they are the first to touch something. Those that are left out have
+    the bounds they had.
+
+    Args:
+        obstacles: as they are now.
+        start, end: (c, 3) of the links' segments [m].
+        enough: (c,) what is further from a link than this may keep its bound [m].
+        too_near: (c,) it ends with a link that is nearer than this [m].
+        pairs: which are written.
+
+    Returns:
+        how many shapes other than ellipsoids were measured.
+    """
+    measured = 0
+    for link in range(len(start) - 1, -1, -1):
+        if not obstacles.moved[link]:
+            pairs.distance[link] = np.inf
+            continue
+        _, more = measure_link(obstacles, link, place(start, link), place(end, link), 0.0,
+                               enough[link], -np.inf, pairs)
+        measured += more
+        for obstacle in range(len(obstacles.shapes)):
+            if pairs.distance[link, obstacle] < too_near[link] and not is_contact(
+                    obstacles, link, obstacle):
+                return measured
+    return measured
 
 
 @kernel

@@ -235,7 +235,7 @@ def _fill_tip(places: JointPlaces, chain: Chain, arm: Kinematics) -> None:
 
 
 @kernel
-def _fill_links(places: JointPlaces, chain: Chain, start: OutMatrix, end: OutMatrix) -> None:
+def fill_links(places: JointPlaces, chain: Chain, start: OutMatrix, end: OutMatrix) -> None:
     """Write the ends of the capsules, (c, 3) each [m]."""
     rotation, position, ends = places.rotation, places.position, chain.capsule_ends
     for k in range(len(chain.capsule_joint)):
@@ -265,7 +265,7 @@ def fill_tip(chain: Chain, places: JointPlaces, arm: Kinematics) -> None:
 def fill(chain: Chain, places: JointPlaces, arm: Kinematics) -> None:
     """Write an arm's kinematics at the posture that is in it, see `fill_tip`."""
     fill_tip(chain, places, arm)
-    _fill_links(places, chain, arm.segment_start, arm.segment_end)
+    fill_links(places, chain, arm.segment_start, arm.segment_end)
 
 
 @entry
@@ -323,7 +323,7 @@ def links_along(q: Matrix, chain: Chain) -> tuple[Stack, Stack]:
     places, screws = new_places(n), np.empty((6, n))
     for i in range(count):
         place_joints(q[i], chain, places, screws)
-        _fill_links(places, chain, start[i], end[i])
+        fill_links(places, chain, start[i], end[i])
     return start, end
 
 

@@ -15,8 +15,8 @@ from redundant_planner.core.target.path_search import PathSearch
 
 Array = npt.NDArray[np.float64]
 
-# What a piece of work costs besides its distances, in distances.
-_COST_OF_PIECE = 250
+# What a piece of work costs besides, the least one, and a curve that is looked at [ns].
+_COST_OF_PIECE, _LEAST_PIECE, _COST_OF_CURVE = 5000, 30_000, 250_000
 # Distances between control points of the curve, in turn until it is free [rad].
 _SPACINGS = (0.2, 0.1, 0.05, 0.025)
 # Postures of a curve's span that are looked at.
@@ -60,18 +60,20 @@ class CurveSearch:
         self._polygon = np.empty((0, len(start)))  # corners of the curve found last
         self._work = self._curves()
 
-    def think(self, distances: int, *, any_way: bool = False) -> None:
+    def think(self, work: int, *, any_way: bool = False) -> None:
         """Go on looking for a curve.
 
         Args:
-            distances: how much work that may be.
+            work: how much that may be, see `FreeSpace` [ns].
             any_way: whether one that is not good will do.
         """
         self._any_way = any_way
-        until = self.space.spent + distances
-        while self.found is None and self.space.spent < until:
+        space = self.space
+        until = space.spent + work
+        while self.found is None and space.spent < until:
+            space.piece = max(until - space.spent, _LEAST_PIECE)
             self.found = next(self._work)
-            self.space.spend(_COST_OF_PIECE)
+            space.spend(_COST_OF_PIECE)
 
     def improve(self, before: Array, share: float) -> None:
         """Look for a better rest of the curve found last from now on.
@@ -144,10 +146,10 @@ class CurveSearch:
             # Where there is something before, the curve's first span is another one.
             at = np.linspace(float(len(before) > 0), curve.spans,
                              _LOOKS_PER_SPAN * curve.spans + 1)
+            space.spend(_COST_OF_CURVE)
             free = True
-            for first in range(0, len(at), space.at_once):
-                free = not (
-                    space.rooms(curve.at(at[first:first + space.at_once])) < least).any()
+            for some in space.slices(len(at)):
+                free = not (space.rooms(curve.at(at[some])) < least).any()
                 yield
                 if not free:
                     break

@@ -75,9 +75,11 @@ _MOST_ROWS = 32
 _LARGEST_STEP, _SETTLED = 0.2, 0.05
 # Steps of every other node, and then of all of them, at most.
 _STEPS, _STEPS_AGAIN = 6, 4
-# A step solves its problem so many times at most. For each node that costs n³ over this, in
-# distances, with n joints.
-_SOLUTIONS, _PER_DISTANCE = 6, 20
+# A step solves its problem so many times at most. For each node that costs n³ times this with n
+# joints, and a row of the problem this [ns].
+_SOLUTIONS, _COST_OF_SOLUTION, _COST_OF_ROW = 6, 4, 150
+# What a new band costs [ns].
+_COST_OF_BAND = 200_000
 # How often nodes beside a motion that is not free are asked for more room, and how much [m].
 _TRIES, _MORE = 6, 4e-3
 _ROUND_OFF = 1e-9
@@ -137,8 +139,10 @@ def _row_for(band: Band, node: int, spare: float) -> int:
 
 
 @entry
-def look_at_nodes(band: Band, first: int, last: int, chain: Chain, around: Around) -> None:
+def look_at_nodes(band: Band, first: int, last: int, chain: Chain, around: Around) -> int:
     """Linearise the rooms near some nodes of a band, and have its step begin anew.
+
+    Returns how much work it was [ns].
 
     Args:
         band: which is changed.
@@ -189,6 +193,8 @@ def look_at_nodes(band: Band, first: int, last: int, chain: Chain, around: Aroun
             row = _row_for(band, node, left - asked[links + pairs])
             if row >= 0:
                 band.gradients[node, row] = slope
+        scratch.work[0] += _COST_OF_ROW * band.rows[node]
+    return scratch.work[0]
 
 
 @kernel
@@ -259,19 +265,19 @@ def go_on_looking_at(
     look: Look, motion: Motion, needed: Vector, reach: Matrix, most: int, chain: Chain,
     around: Around,
 ) -> int:
-    """Look at a few more motions; return how many postures were looked at.
+    """Look at a few more motions; return how much work it was [ns].
 
     Args:
         look: which is changed.
         motion: the one that is looked at.
         needed: (k,) room; where an end has less, a motion may have as little [m].
         reach: (k, n) see `begin_motion`.
-        most: how many postures may be looked at, about.
+        most: how much work it may be, about.
         chain, around: the arm, and what is in its way.
     """
-    blocked, at, looked = look.blocked, look.at, 0
+    blocked, at = look.blocked, look.at
     scratch = new_scratch(look.postures[0], chain, around)
-    while at[0] < len(blocked) and looked < most:
+    while at[0] < len(blocked) and scratch.work[0] < most:
         i = at[0]
         if at[1] == 0 and (blocked[i] or not begin_motion(
                 motion, look.postures[i], look.rooms[i], look.postures[i + 1],
@@ -280,14 +286,12 @@ def go_on_looking_at(
             at[0] = i + 1
             continue
         at[1] = 1
-        before = motion.counts[0]
-        found = go_on_with(motion, most - looked, chain, around, scratch)
-        looked += motion.counts[0] - before
+        found = go_on_with(motion, most, chain, around, scratch)
         if found == PENDING:
             break
         blocked[i] = found == BLOCKED
         at[0], at[1] = i + 1, 0
-    return looked
+    return scratch.work[0]
 
 
 def pulled_tight(
@@ -306,6 +310,8 @@ def pulled_tight(
     size, needed = float(lengths_along(polygon, scaling)[-1]), space.asked(room)
     pieces = 2 * min(max(math.ceil(0.5 * size / _SPACING), 4), _MOST_PIECES // 2)
     postures = evenly(polygon, scaling, pieces)
+    space.spend(_COST_OF_BAND)
+    yield
     rooms = yield from _rooms(space, postures)
     least = np.minimum(needed, rooms)
     asked = least + _RESERVE
@@ -332,14 +338,13 @@ def _relaxed(space: FreeSpace, band: Band, steps: int) -> Generator[None, None, 
     """Let a band go where it is shorter."""
     (count, n), joints = band.nodes.shape, space.joints
     for _ in range(steps):
-        for first in range(0, count, space.at_once):
-            last = min(first + space.at_once, count)
-            look_at_nodes(band, first, last, space.robot.chain, space.around)
-            space.spend((last - first) * space.cost)
+        for some in space.slices(count):
+            space.spend(look_at_nodes(
+                band, some.start, some.stop, space.robot.chain, space.around))
             yield
         for _ in range(_SOLUTIONS):
             changed = solve_step(band, joints.scaling)
-            space.spend(count * n**3 // _PER_DISTANCE)
+            space.spend(_COST_OF_SOLUTION * count * n**3)
             yield
             if not changed:
                 break
@@ -352,8 +357,8 @@ def _relaxed(space: FreeSpace, band: Band, steps: int) -> Generator[None, None, 
 def _rooms(space: FreeSpace, postures: Array) -> Generator[None, None, Array]:
     """Return the room (N, k) at postures (N, n)."""
     rooms = []
-    for first in range(0, len(postures), space.at_once):
-        rooms.append(space.rooms(postures[first:first + space.at_once]))
+    for some in space.slices(len(postures)):
+        rooms.append(space.rooms(postures[some]))
         yield
     return np.concatenate(rooms)
 
@@ -374,8 +379,7 @@ def _blocked(
     motion = new_motion(
         postures.shape[1], len(needed), float(np.abs(np.diff(postures, axis=0)).max()))
     while look.at[0] < len(look.blocked):
-        looked = go_on_looking_at(
-            look, motion, needed, space.reach, space.at_once, space.robot.chain, space.around)
-        space.spend(looked * space.cost)
+        space.spend(go_on_looking_at(
+            look, motion, needed, space.reach, space.piece, space.robot.chain, space.around))
         yield
     return look.blocked

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 import itertools
 import math
 from typing import NamedTuple
@@ -22,21 +22,22 @@ from redundant_planner.core.target.straight_motion import (
     begin_looking,
     FREE,
     go_on_looking,
+    Motion,
     new_motion,
     PENDING,
     rooms_at,
+    usual_work,
 )
 
 Array = npt.NDArray[np.float64]
 
 # Most room that is asked of pairs of links [m]: a Panda's hand is close to its link5 in most ways.
 _ROOM_OF_PAIRS = 2e-3
-# What postures cost to look at besides their distances, each and together, and what a piece of
-# work costs at most, in distances: each takes about 35 ns.
-_COST_OF_POSTURE, _COST_OF_CALL, _PIECE = 40, 100, 3000
-# What a barrier of the user's own costs at a posture, in distances, how much of it is asked of a
-# way, more than the filter keeps, and how far apart postures are looked at [rad, m].
-_COST_OF_RULE, _ROOM_OF_RULES, _KEPT_OF_RULES, _STEP = 400, 0.01, 2e-3, 0.05
+# A piece of work, if nobody says another one [ns].
+_PIECE = 100_000
+# What a barrier of the user's own costs at a posture [ns], how much of it is asked of a way, more
+# than the filter keeps, and how far apart postures are looked at [rad, m].
+_COST_OF_RULE, _ROOM_OF_RULES, _KEPT_OF_RULES, _STEP = 14_000, 0.01, 2e-3, 0.05
 _ROUND_OFF = 1e-9
 
 
@@ -75,9 +76,9 @@ class FreeSpace:
         joints: how they are weighed and bounded.
         around: what keeps its links from being anywhere.
         reach: (k, n) how far a point of what has room may come for each rad or m of a joint.
-        cost: of looking at a posture, in distances.
-        spent: the work done so far, in distances.
-        at_once: how many postures are looked at in one piece of work.
+        spent: the work done so far, counted and not timed, so that replays are exact: in what
+            it takes on one machine [ns].
+        piece: a piece of work at most, about, likewise; more than `COST_OF_CALL`.
     """
 
     def __init__(
@@ -101,17 +102,28 @@ class FreeSpace:
         self.around = Around(
             obstacles, constants.radii, constants.self_pairs, constants.self_supports,
             constants.cone, in_cone, np.where(self.reach.any(axis=1), 0.0, np.inf))
-        self.cost = obstacles.smallest.size + len(constants.self_pairs) + _COST_OF_POSTURE
-        self.at_once = max(_PIECE // (self.cost + _COST_OF_RULE * self._rules), 1)
+        self.piece = _PIECE
+        self._posture = usual_work(self.around, robot.n)  # what one costs, about
 
-    def spend(self, distances: int) -> None:
-        """Note work that was done besides measuring, in distances."""
-        self.spent += distances
+    def spend(self, work: int) -> None:
+        """Note work that was done [ns]."""
+        self.spent += work
+
+    def slices(self, count: int) -> Iterator[slice]:
+        """Yield which of so many postures to look at in one piece of work, and in the next."""
+        first = 0
+        while first < count:
+            posture = self._posture + _COST_OF_RULE * self._rules
+            last = min(first + max(self.piece // posture, 1), count)
+            yield slice(first, last)
+            first = last
 
     def rooms(self, postures: Array) -> Array:
         """Return the room (N, k) at postures (N, n); infinite for links that cannot move."""
-        self.spend(_COST_OF_CALL + len(postures) * self.cost)
-        rooms = rooms_at(postures, self.robot.chain, self.around)
+        rooms, work = rooms_at(postures, self.robot.chain, self.around)
+        self.spend(work)
+        if len(postures) > 1:
+            self._posture = work // len(postures)
         if self._rules:
             rooms[:, -self._rules:] = self._rooms_of_rules(postures)
         return rooms
@@ -223,7 +235,7 @@ class FreeSpace:
         return Place(q, self.rooms(q[None])[0])
 
     def is_free_between(
-        self, one: Place, other: Place, needed: Array,
+        self, one: Place, other: Place, needed: Array, memory: Motion | None = None,
     ) -> Generator[None, None, bool]:
         """Return whether a straight motion of the joints is free whose ends are.
 
@@ -232,16 +244,15 @@ class FreeSpace:
         Args:
             one, other: its ends.
             needed: (k,) room; where an end has less, the motion may have as little [m].
+            memory: for the motion, which is changed; new memory if None.
         """
-        size = float(np.abs(other.q - one.q).max(initial=0.0))
-        motion = new_motion(len(one.q), len(needed), size)
+        motion = memory or new_motion(
+            len(one.q), len(needed), float(np.abs(other.q - one.q).max(initial=0.0)))
         if not begin_looking(motion, one.q, one.room, other.q, other.room, needed, self.reach):
             return False
-        state = PENDING
         while True:
-            before = motion.counts[0]
-            state = go_on_looking(motion, self.at_once, self.robot.chain, self.around)
-            self.spend(self.cost * int(motion.counts[0] - before))
+            state, work = go_on_looking(motion, self.piece, self.robot.chain, self.around)
+            self.spend(work)
             if state != PENDING:
                 return state == FREE and (yield from self.keeps_rules((one, other)))
             yield

@@ -31,8 +31,9 @@ from redundant_planner.core.target.patience import Patience
 
 Array = npt.NDArray[np.float64]
 
-# What looking at a distance takes, about, and what a tick spends on them at most [s].
-_DISTANCE, _MOST_WORK = 3.5e-8, 1.2e-3
+# What a tick works at the search at most: while the arm stands and waits for a way, and while it
+# is on one [s].
+_MOST_WORK, _MOST_ON_THE_WAY = 1.2e-3, 0.9e-3
 # After this time any way will do, in searches for the same target after ever less: those that are
 # good are alike, and the filter may stop each. After that the tip goes as near as a line takes it
 # [s].
@@ -209,7 +210,7 @@ class FreeWay:
     def _is_another(self, target: Goal | Poses) -> bool:
         known = self._target
         if isinstance(target, tuple) and isinstance(known, tuple):
-            return float(np.abs(
+            return not se3.same(target, known) and float(np.abs(
                 se3.poses_error(stacked(target), stacked(known), False)).max()) > _ANOTHER
         return (known is None or isinstance(target, tuple) or isinstance(known, tuple)
                 or not np.array_equal(target, known))
@@ -265,8 +266,9 @@ class FreeWay:
         self._searches += 1
 
     def _work(self, dt: float) -> int:
-        """How much a tick may think, in distances."""
-        work = min(self._effort * dt, _MOST_WORK) / _DISTANCE
+        """How much a tick may think [ns]."""
+        most = _MOST_WORK if self.stretch is Stretch.THINKING else _MOST_ON_THE_WAY
+        work = 1e9 * min(self._effort * dt, most)
         return int(work if self._age < _DILIGENT else 0.25 * work)
 
     def _go_on_thinking(self, start: Start, space: Callable[[], FreeSpace]) -> None:
@@ -289,7 +291,7 @@ class FreeWay:
         polygon = finder.found
         if polygon is None:
             finder.think(self._work(start.dt), any_way=self._age >= _LATE / self._searches)
-            self.out_of_reach = search.out_of_reach
+            self.out_of_reach = search.goals.out_of_reach
         else:  # this tick has not worked yet
             if self._is_blocked(polygon, space()):
                 self._think(start, space())

@@ -12,16 +12,16 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.robot.turns import nearest_turn, TURN
 from redundant_planner.core.target.free_space import FreeSpace, Place, places_of
-from redundant_planner.core.target.inverse_kinematics import AT_POSE, self_motion, solve
+from redundant_planner.core.target.inverse_kinematics import are_apart, AT_POSE, self_motion, solve
 
 Array = npt.NDArray[np.float64]
 
 # Steps along the null space to either side, and their size [rad, m].
-_ASIDE, _ASIDE_SIZE = 10, 0.15
+_ASIDE, _ASIDE_SIZE = 6, 0.25
 # A posture is another one than those known if a joint is this far from each of them [rad, m].
 _APART = 0.07
-# What a step to the pose costs, and a posture along the null space, in distances.
-_COST_OF_STEP, _COST_OF_POSTURE = 60, 250
+# What looking for postures costs, each step to the poses, and two postures that may be one [ns].
+_COST_OF_CALL, _COST_OF_STEP, _COST_OF_KNOWN = 30_000, 2500, 4
 # Steps towards another posture, so many before the next look. They become smaller where they leave
 # more than this share of the distance, from the first to the last [rad, m].
 _AT_ONCE, _WORTH_IT, _NEARER, _NEAREST = 4, 0.99, 0.3, 0.02
@@ -46,6 +46,8 @@ def goal_postures(
     """
     low, high = space.joint_ranges(q)
     guess, guesses, known = q, 0, _Known(len(q))
+    # Ways aside are random: few of them spare those joints that cost more than others.
+    spares = space.robot.n > space.robot.m and bool(np.ptp(space.joints.scaling) > 0.0)
     while True:
         found = posture_at(space, guess, poses)
         yield []
@@ -53,15 +55,13 @@ def goal_postures(
             found = nearest_turn(found, q, space.joints.position_max)
             yield _places(space, [found])
             for aside in _asides(space, random):
-                beside = self_motion(
-                    found, poses, aside, _ASIDE_SIZE, _ASIDE, space.robot.chain, space.joints)
-                space.spend(_COST_OF_POSTURE * len(beside))
+                beside = _beside(space, found, poses, aside, _ASIDE_SIZE, _ASIDE)
                 postures = known.others_of(nearest_turn(beside, q, space.joints.position_max))
+                space.spend(_COST_OF_KNOWN * len(beside) * known.count)
                 yield []
-                for first in range(0, len(postures), space.at_once):
-                    yield _places(space, postures[first:first + space.at_once])
-            # Ways aside are random: few of them spare those joints that cost more than others.
-            if space.robot.n > space.robot.m and np.ptp(space.joints.scaling) > 0.0:
+                for some in space.slices(len(postures)):
+                    yield _places(space, postures[some])
+            if spares:
                 known.others_of(found[None])
                 nearest = found
                 for beside in nearer(space, found, poses, q):
@@ -71,7 +71,7 @@ def goal_postures(
                     yield _places(space, [other])
         guesses += 1
         guess = (random.uniform(low, high) if guesses % 2 else
-                 np.clip(random.normal(q, _SPREAD), low, high))
+                 np.minimum(np.maximum(random.normal(q, _SPREAD), low), high))
         yield None
 
 
@@ -102,8 +102,17 @@ def only_posture(
 def posture_at(space: FreeSpace, guess: Array, poses: Poses) -> Array | None:
     """Return a posture (n,) with the tips at their poses; None where a guess leads elsewhere."""
     found = solve(guess, poses, space.robot.chain, space.joints)
-    space.spend(_COST_OF_STEP * (1 + found.steps))
+    space.spend(_COST_OF_CALL + _COST_OF_STEP * found.steps)
     return found.q if found.error < AT_POSE else None
+
+
+def _beside(
+    space: FreeSpace, q: Array, poses: Poses, aside: Array, size: float, count: int,
+) -> Array:
+    """Return postures (k, n) along the null space, see `self_motion`."""
+    beside, steps = self_motion(q, poses, aside, size, count, space.robot.chain, space.joints)
+    space.spend(_COST_OF_CALL + _COST_OF_STEP * (steps + count))
+    return beside
 
 
 def nearer(space: FreeSpace, q: Array, poses: Poses, to: Array) -> Iterator[Array]:
@@ -119,8 +128,7 @@ def nearer(space: FreeSpace, q: Array, poses: Poses, to: Array) -> Iterator[Arra
     """
     size, nearest = _NEARER, float(space.distance(q, to))
     while size >= _NEAREST:
-        beside = self_motion(q, poses, to - q, size, _AT_ONCE, space.robot.chain, space.joints)
-        space.spend(_COST_OF_POSTURE * _AT_ONCE)
+        beside = _beside(space, q, poses, to - q, size, _AT_ONCE)
         apart = space.distance(beside, to)
         best = float(apart.min(initial=np.inf))
         if best > _WORTH_IT * nearest:
@@ -145,10 +153,14 @@ class _Known:
     def __init__(self, n: int) -> None:
         self._postures = np.empty((0, n))
 
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self._postures)
+
     def others_of(self, postures: Array) -> Array:
         """Return those of some postures (k, n) that are not known, and know them from now on."""
-        apart = np.abs(postures[:, None] - self._postures).max(axis=2)
-        others = postures[apart.min(axis=1, initial=np.inf) > _APART]
+        others = postures[are_apart(postures, self._postures, _APART)]
         self._postures = np.vstack((self._postures, others))
         return others
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from redundant_planner.core.horizon.least_norm_path import PathJoints, step_to_pose
 from redundant_planner.core.horizon.poses_ahead import error_to
-from redundant_planner.core.kernels import entry, kernel, Matrix, Vector
+from redundant_planner.core.kernels import entry, Flags, kernel, Matrix, Vector
 from redundant_planner.core.redundancy import null_space
 from redundant_planner.core.robot.kinematics import (
     Chain,
@@ -114,8 +114,10 @@ def solve(guess: Vector, poses: Poses, chain: Chain, joints: PathJoints) -> Solu
 def self_motion(
     q: Vector, poses: Poses, aside: Vector, size: float, count: int, chain: Chain,
     joints: PathJoints,
-) -> Matrix:
+) -> tuple[Matrix, int]:
     """Return the postures (k, n) at poses of the tips on from another one (n,) at these.
+
+    And how many steps to the poses that took.
 
     Args:
         q: the first posture.
@@ -129,6 +131,7 @@ def self_motion(
     arm = new_kinematics_compiled(q, len(chain.rows), len(chain.tip_joints), 0)
     places = new_places(len(q))
     fill_tip(chain, places, arm)
+    steps = 0
     for k in range(count):
         parts = null_space.decompose(arm.jacobian * joints.scaling)
         way = joints.scaling * null_space.project(parts, way / joints.scaling)
@@ -137,13 +140,31 @@ def self_motion(
             length += value * value
         length = math.sqrt(length)
         if length < _LEAST_SHARE:
-            return found[:k].copy()
+            return found[:k].copy(), steps
         for j in range(len(way)):
             way[j] /= length
             there = arm.q[j] + size * way[j]
             arm.q[j] = min(max(there, joints.position_min[j]), joints.position_max[j])
-        error, _ = _solve(arm, places, poses, chain, joints)
+        error, more = _solve(arm, places, poses, chain, joints)
+        steps += more
         if error >= AT_POSE:
-            return found[:k].copy()
+            return found[:k].copy(), steps
         found[k] = arm.q
-    return found
+    return found, steps
+
+
+@entry
+def are_apart(postures: Matrix, others: Matrix, least: float) -> Flags:
+    """Return which postures (k, n) are so far from all others (m, n), in one joint at least."""
+    apart = np.ones(len(postures), np.bool_)
+    for i in range(len(postures)):
+        for other in range(len(others)):
+            same = True
+            for j in range(postures.shape[1]):
+                if abs(postures[i, j] - others[other, j]) > least:
+                    same = False
+                    break
+            if same:
+                apart[i] = False
+                break
+    return apart

@@ -15,11 +15,11 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from redundant_planner.core.robot.se3 import Poses, stacked
+from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.elastic_band import pulled_tight
+from redundant_planner.core.target.free_goals import FreeGoals
 from redundant_planner.core.target.free_space import FreeSpace, Place, places_of, stacked_places
 from redundant_planner.core.target.goal import Goal
-from redundant_planner.core.target.goal_postures import goal_postures, only_posture
 from redundant_planner.core.target.joint_curve import lengths_along
 from redundant_planner.core.target.random_postures import informed_samples, near_trees
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
@@ -45,31 +45,25 @@ Way = list[Place]
 # Room that ways have, in turn, but for their ends: much lets the arm go fast, little finds ways
 # through gaps [m]. A way with little counts as longer by a factor.
 _ROOMS, _PRICES = (0.01, 0.002), {0.01: 1.0, 0.002: 1.3}
-# An arm that is found closer than its margin may start on a way all the same, within this, and a
-# goal keeps so much [m].
-_INSIDE, _AT_GOAL = 2e-3, 1e-4
+# An arm that is found closer than its margin may start on a way all the same, within this [m].
+_INSIDE = 2e-3
 # A place aside counts less by this for each rad of the way there [m/rad], and so many are looked
 # at: that is done in one tick.
 _PRICE_OF_ASIDE, _MOST_ASIDE = 0.01, 32
 # Branches that a tree without goals grows between guesses.
 _LOOKS_AROUND = 10
-# Guesses at goal postures before each attempt; how many postures are enough, after how many
-# guesses at least, as others lead to other families; and how many may come of one, along its null
-# space.
-_GUESSES, _GOALS, _FEWEST_GUESSES, _OF_FAMILY = 60, 12, 12, 3
-# Guesses without any posture after which a pose counts as out of reach.
-_GUESSES_OUT_OF_REACH = 300
 # A way is better at this share of the best one's price. At these factors of what the cheapest
 # straight motion would cost, a straight one is as good, and any way is good.
 _BETTER, _AS_GOOD, _GOOD = 0.98, 1.05, 1.1
 # Longest branch that is tried at once [rad, joint weights included]: anywhere, where the way may
 # have little room, and where the tip stays in a cone.
 _BRANCH, _BRANCH_IN_GAPS, _BRANCH_IN_CONE = 0.8, 0.5, 0.2
-# Random postures that trees grow towards, drawn at once, and what trees and a look at all goals
-# cost, in distances.
-_AIMS, _COST_OF_TREES, _COST_OF_LOOK = 256, 3000, 1000
-# Work at trees in one attempt, in distances: then those with other room have their turn.
-_WORK = 1_000_000
+# Random postures that trees grow towards, drawn at once, and what they cost, trees, a way that is
+# to become shorter, and a look at all goals [ns].
+_AIMS, _COST_OF_AIMS, _COST_OF_TREES = 128, 180_000, 100_000
+_COST_OF_WAY, _COST_OF_LOOK = 200_000, 50_000
+# Work at trees in one attempt [ns]: then those with other room have their turn.
+_WORK = 35_000_000
 # Attempts at a shortcut and how many in vain end them, of any way and of one that may become the
 # best: one that costs less than this factor of it by then.
 _ROUGHLY, _THOROUGHLY, _PROMISES = (60, 20), (300, 60), 1.1
@@ -87,7 +81,7 @@ class PathSearch:
         good: whether it costs little more than any way might, a straight one to the best goal.
         shortened: whether it has been made shorter, roughly at least.
         rounds: how many attempts have ended since the first way was found.
-        out_of_reach: whether no posture with the tip at the pose is known after many guesses.
+        goals: that are known.
         aside: whether the way leads out of the way of others, and not to a goal.
     """
 
@@ -107,17 +101,11 @@ class PathSearch:
         self.way: Way | None = None
         self.room = self._price = np.inf
         self.straight, self.good, self.shortened, self.rounds = False, False, False, 0
-        self.out_of_reach, self.aside = False, False
+        self.aside = False
         self._trees: Trees | None = None  # the latest, of which the first begins at the start
         self._space, self._start, self._gives_way = space, space.begin_at(start), gives_way
-        self._goals: list[Place] = []
-        self._tightest: Array | None = None  # room (k,) of the goal that is nearly free
         self._random = np.random.default_rng(seed)
-        self._several = not isinstance(target, np.ndarray)
-        self._postures = (
-            goal_postures(space, start, stacked(target), self._random)
-            if not isinstance(target, np.ndarray) else only_posture(space, start, target))
-        self._guesses, self._reached = 0, False
+        self.goals = FreeGoals(space, start, target, self._random)
         self._ranges = space.joint_ranges(start)
         self._memory: Motion | None = None
         self._blocked: set[tuple[float, int]] = set()  # straight motions to goals, by room
@@ -132,13 +120,13 @@ class PathSearch:
             yield from self._improved(self.way, self.room)
             self.rounds += 1
         while True:
-            yield from self._guess()
+            yield from self.goals.look()
             room = _ROOMS[attempt % len(_ROOMS)]
             attempt += 1
-            if not self._goals or (self._start.room < -_INSIDE).any():
+            if not self.goals.places or (self._start.room < -_INSIDE).any():
                 yield from self._explore()
                 continue
-            if (self._most(room) <= self._away).all():
+            if (self._most(room) <= self.goals.away).all():
                 self._space.spend(_COST_OF_LOOK)
                 yield
                 # Where those with little room could not be better, others still may.
@@ -164,8 +152,9 @@ class PathSearch:
         They end at a goal. `work` begins anew.
         """
         self._start = self._space.begin_at(rest[0])
+        self.goals.begin_at(rest[0])
         self._blocked.clear()
-        last = min(self._goals, key=lambda goal: float(np.abs(goal.q - rest[-1]).max()))
+        last = min(self.goals.places, key=lambda goal: float(np.abs(goal.q - rest[-1]).max()))
         between = rest[1:-1]
         self.way = [self._start, *places_of(between, self._space.rooms(between)), last]
         self.straight = False
@@ -174,13 +163,7 @@ class PathSearch:
     @property
     def lacks(self) -> str:
         """What keeps it from finding a way, as far as it knows."""
-        if self.out_of_reach:
-            return 'no posture has the tip at the target'
-        if not self._goals:
-            return 'at the target ' + (
-                'the arm would touch something' if self._tightest is None
-                else self._space.too_near(self._tightest))
-        return 'no way to the target is found'
+        return self.goals.lacks or 'no way to the target is found'
 
     def step_aside(self) -> None:
         """Have the way lead to where obstacles are furthest, as far as that is known."""
@@ -201,27 +184,6 @@ class PathSearch:
         """Return how long a way is, joint weights included [rad]."""
         return float(lengths_along(stacked_places(way)[0], self._space.joints.scaling)[-1])
 
-    def _guess(self) -> Generator[None, None, None]:
-        """Look for goal postures."""
-        until = self._guesses + (_GUESSES if self._several else 1)
-        family: list[Place] = []
-        while self._guesses < until and (
-                len(self._goals) < _GOALS or self._guesses < _FEWEST_GUESSES):
-            found = next(self._postures)
-            yield
-            for goal in found or ():
-                if (goal.room >= _AT_GOAL).all():
-                    family.append(goal)
-                elif self._tightest is None or goal.room.min() > self._tightest.min():
-                    self._tightest = goal.room
-            if found is None:
-                family.sort(key=lambda goal: float(self._space.distance(self._start.q, goal.q)))
-                self._goals += family[::max(math.ceil(len(family) / _OF_FAMILY), 1)]
-                family = []
-            self._guesses += found is None
-            self._reached = self._reached or bool(found)
-        self.out_of_reach = not self._reached and self._guesses >= _GUESSES_OUT_OF_REACH
-
     def _explore(self) -> Generator[None, None, None]:
         """Look around where there is no goal yet, if the arm gives way."""
         yield
@@ -234,6 +196,7 @@ class PathSearch:
 
     def _price_of(self, way: Way, room: float) -> float:
         """Return what a way with some room costs: its length, if nothing else counts."""
+        self._space.spend(_COST_OF_LOOK)
         return self.length(way) * _PRICES[room] + float(self._space.price_of_end(way[-1].q))
 
     def _note(self, way: Way, room: float) -> None:
@@ -242,34 +205,23 @@ class PathSearch:
         if price < self._price:
             self._price, self.room = price, room
             self._unmet.clear()  # they lead to goals that no longer count
-            self._space.spend(_COST_OF_LOOK)
-            least = float((self._away + self._space.price_of_end(self._ends)).min())
+            least = float((self.goals.away + self.goals.price).min())
             self.straight = len(way) == 2 and price <= _AS_GOOD * least
             self.good, self.way, self.aside = price <= _GOOD * least, way, False
 
     def _most(self, room: float) -> Array:
         """Return how long a way to each goal may be to be the best [rad, weights included]."""
-        return (_BETTER * self._price - self._space.price_of_end(self._ends)) / _PRICES[room]
-
-    @property
-    def _ends(self) -> Array:
-        """The postures (k, n) of the goals."""
-        return np.array([goal.q for goal in self._goals]).reshape(-1, len(self._start.q))
-
-    @property
-    def _away(self) -> Array:
-        """How far each goal is [rad, joint weights included]."""
-        return self._space.distance(self._start.q, self._ends)
+        return (_BETTER * self._price - self.goals.price) / _PRICES[room]
 
     def _connected(self, room: float) -> Generator[None, None, Way | None]:
         """Return a way with some room to any goal, None where trees have not met so far."""
-        space, start, goals = self._space, self._start, self._goals
-        needed, away, most = space.asked(room), self._away, self._most(room)
+        space, start, goals = self._space, self._start, self.goals.places
+        needed, away, most = space.asked(room), self.goals.away, self._most(room)
         for i in np.argsort(away - most if np.isfinite(self._price) else away):
             if (room, int(i)) in self._blocked or away[i] >= most[i]:
                 continue
             yield
-            if (yield from space.is_free_between(start, goals[i], needed)):
+            if (yield from space.is_free_between(start, goals[i], needed, self._motion())):
                 return [start, goals[i]]
             self._blocked.add((room, int(i)))
         trees, rooted = self._unmet.pop(room, (None, 0))
@@ -310,24 +262,27 @@ class PathSearch:
         space, (low, high) = self._space, self._ranges
         towards = self._random.uniform(low, high, (aims, len(low)))
         most = self._most(room)
-        within = np.flatnonzero(self._away < most)
+        within = np.flatnonzero(self.goals.away < most)
         if np.isfinite(self._price) and len(within):
-            aimed = informed_samples(self._random, aims, self._start.q, self._ends[within],
-                                     most[within], space.joints.scaling)
+            aimed = informed_samples(
+                self._random, aims, self._start.q, self.goals.postures[within], most[within],
+                space.joints.scaling)
             inside = ((low <= aimed) & (aimed <= high)).all(axis=1)
             towards[inside] = aimed[inside]
         if trees.numbers[:2].all():
             towards[::2] = near_trees(self._random, len(towards[::2]), trees, low, high)
         trees.numbers[USED] = 0
+        space.spend(_COST_OF_AIMS)
+        yield
         motion, needed = self._motion(), space.asked(room)
         longest = (_BRANCH_IN_CONE if space.narrow else
                    _BRANCH if room == _ROOMS[0] else _BRANCH_IN_GAPS)
         while True:
-            ended, looked = grow(
+            ended, work = grow(
                 trees, motion, towards, needed, space.joints.scaling, longest,
                 space.joints.position_min, space.joints.position_max, space.reach,
-                space.at_once, space.robot.chain, space.around)
-            space.spend(looked * space.cost)
+                space.piece, space.robot.chain, space.around)
+            space.spend(work)
             if ended == TOO_LARGE and (larger := enlarged(trees)) is not None:
                 trees = self._trees = larger
                 space.spend(_COST_OF_TREES)
@@ -375,23 +330,25 @@ class PathSearch:
         self, way: Way, room: float, random: Array, most_in_vain: int,
     ) -> Generator[None, None, Way]:
         """Return a way with as much room after attempts (a, ...) to make it shorter."""
-        space, goals = self._space, stacked_places(self._goals)
+        space, goals = self._space, stacked_places(self.goals.places)
         motion, needed = self._motion(), space.asked(room)
-        work = new_shortening(*stacked_places(way), space.joints.scaling)
+        shorter = new_shortening(*stacked_places(way), space.joints.scaling)
+        space.spend(_COST_OF_WAY)
+        yield
         over = False
         while not over:
-            over, looked = shorten(
-                work, motion, *goals, random, needed, space.joints.scaling, space.reach,
-                most_in_vain, space.at_once, space.robot.chain, space.around)
-            space.spend(looked * space.cost)
+            over, work = shorten(
+                shorter, motion, *goals, random, needed, space.joints.scaling, space.reach,
+                most_in_vain, space.piece, space.robot.chain, space.around)
+            space.spend(work)
             yield
-        count = work.numbers[COUNT]
-        return places_of(work.postures[:count], work.rooms[:count])
+        count = shorter.numbers[COUNT]
+        return places_of(shorter.postures[:count], shorter.rooms[:count])
 
     def _motion(self) -> Motion:
         """Return memory for a motion between any two postures of the search."""
         if self._memory is None:
-            ends = np.array([self._start.q, *self._ranges, *(goal.q for goal in self._goals)])
+            ends = np.array([self._start.q, *self._ranges, *self.goals.postures])
             self._memory = new_motion(
                 len(self._start.q), len(self._start.room),
                 float((ends.max(axis=0) - ends.min(axis=0)).max(initial=0.0)))

@@ -39,6 +39,8 @@ _TO_GOAL, _FROM_START, _TO_END, _CORNER = range(4)
 _CUTS = 4
 # Random numbers of an attempt.
 NUMBERS = 6
+# What the choice of a shortcut costs [ns].
+_COST_OF_CHOICE = 150
 # More corners than before a shortcut takes away.
 _ADDED = 2
 # The entries of `Shortening.numbers`: corners of the way, attempts, those in vain one after the
@@ -165,7 +167,7 @@ def shorten(
     needed: Vector, scaling: Vector, reach: Matrix, most_in_vain: int, most: int, chain: Chain,
     around: Around,
 ) -> tuple[bool, int]:
-    """Make a way a little shorter; return whether that is over, and the postures looked at.
+    """Make a way a little shorter; return whether that is over, and how much work it was.
 
     Args:
         way: which is changed.
@@ -176,15 +178,13 @@ def shorten(
         scaling: (n,) of the joints' lengths, see `PathJoints`.
         reach: (k, n) see `begin_motion`.
         most_in_vain: after so many attempts in vain it is over.
-        most: how many postures may be looked at, about.
+        most: how much work it may be, about [ns].
         chain, around: the arm, and what is in its way.
     """
-    state, scratch, looked = way.numbers, new_scratch(way.ends[0], chain, around), 0
-    while looked < most:
+    state, scratch = way.numbers, new_scratch(way.ends[0], chain, around)
+    while scratch.work[0] < most:
         if state[_LOOKS] == 1:
-            before = motion.counts[0]
-            found = go_on_with(motion, most - looked, chain, around, scratch)
-            looked += motion.counts[0] - before
+            found = go_on_with(motion, most, chain, around, scratch)
             if found == PENDING:
                 break
             state[_LOOKS] = 0
@@ -193,14 +193,14 @@ def shorten(
             continue
         if state[_ATTEMPT] == len(random) or state[_IN_VAIN] > most_in_vain or (
                 state[COUNT] == 2 and state[_ATTEMPT] > _CUTS * len(goals)):
-            return True, looked
+            return True, scratch.work[0]
+        scratch.work[0] += _COST_OF_CHOICE
         chosen = _choose(way, goals, random[state[_ATTEMPT]], scaling)
         state[_ATTEMPT] += 1
         state[_IN_VAIN] += 1
         if not chosen:
-            looked += state[_ATTEMPT] % 8 == 0
             continue
-        roomy = True
+        roomy, scratch.least[:] = True, needed
         for end in range(2):
             if end == 0 and state[_AT_START] == 1:
                 way.end_rooms[0] = way.rooms[0]
@@ -210,11 +210,9 @@ def shorten(
                 way.end_rooms[1] = way.rooms[state[COUNT] - 1]
             elif roomy:
                 scratch.arm.q[:] = way.ends[end]
-                write_room(chain, around, scratch, way.end_rooms[end])
-                looked += 1
-                for k in range(len(needed)):
-                    roomy = roomy and way.end_rooms[end, k] >= needed[k]
+                roomy = write_room(chain, around, scratch, way.end_rooms[end])
+        scratch.least[:] = -np.inf
         if roomy and begin_motion(motion, way.ends[0], way.end_rooms[0], way.ends[1],
                                   way.end_rooms[1], needed, reach):
             state[_LOOKS] = 1
-    return False, looked
+    return False, scratch.work[0]

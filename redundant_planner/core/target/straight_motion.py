@@ -27,7 +27,7 @@ from redundant_planner.core.kernels import (
 from redundant_planner.core.obstacles.clearance import (
     bound_by_balls,
     is_contact,
-    measure_unless,
+    measure_until,
     Pairs,
 )
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
@@ -36,17 +36,23 @@ from redundant_planner.core.obstacles.shapes import ELLIPSOID
 from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.kinematics import (
     Chain,
-    fill,
+    fill_links,
+    fill_tip,
     JointPlaces,
     Kinematics,
     new_kinematics_compiled,
     new_places,
+    place_joints,
 )
 
 Array = npt.NDArray[np.float64]
 
 # What has more room than this need not be measured exactly [m].
 _AMPLE = 0.3
+# What memory for numbers costs and the call from Python that needs it, and at a posture a joint,
+# two links, a link and the ball around an obstacle, and a distance that balls do not settle [ns].
+COST_OF_CALL, _COST_OF_JOINT, _COST_OF_LINKS = 10_000, 250, 10
+_COST_OF_BALL, _COST_OF_DISTANCE = 6, 42
 # Pieces of a motion shorter than this are not halved any more, and one that is longer than a
 # hundred turns counts as blocked, as nobody has the memory to look at it [rad, m].
 _FINEST, _LONGEST = 0.02, 630.0
@@ -121,6 +127,8 @@ class Scratch(NamedTuple):
 
     Attributes:
         enough: (k,) room that need not be measured any further.
+        least: (k,) where something has less room, nothing else need be known.
+        work: (1,) how much has been done, see `FreeSpace` [ns].
     """
 
     arm: Kinematics
@@ -128,6 +136,14 @@ class Scratch(NamedTuple):
     pairs: Pairs
     points: Stack
     enough: Vector
+    least: Vector
+    work: Indices
+
+
+def usual_work(around: Around, n: int) -> int:
+    """Return how much work a posture of n joints is where a quarter of what is around is near."""
+    return (_COST_OF_JOINT * n + _COST_OF_LINKS * len(around.links)
+            + (_COST_OF_BALL + _COST_OF_DISTANCE // 4) * around.obstacles.smallest.size)
 
 
 @kernel
@@ -139,35 +155,26 @@ def new_scratch(q: Vector, chain: Chain, around: Around) -> Scratch:
             q, len(chain.rows), len(chain.tip_joints), len(chain.capsule_joint)),
         new_places(len(q)),
         Pairs(np.empty(shape), np.empty(shape), np.empty(shape)),
-        np.empty((len(around.links), 2, 3)), np.full(len(around.forgiven), _AMPLE))
+        np.empty((len(around.links), 2, 3)), np.full(len(around.forgiven), _AMPLE),
+        np.full(len(around.forgiven), -np.inf), np.full(1, COST_OF_CALL, np.intp))
 
 
 @kernel
-def write_room(chain: Chain, around: Around, scratch: Scratch, room: OutVector) -> None:
+def write_room(chain: Chain, around: Around, scratch: Scratch, room: OutVector) -> bool:
     """Write the room (k,) at the posture that is in the scratch's arm.
 
-    What has more room to obstacles than `scratch.enough` may be given a bound from below.
+    What has more room to obstacles than `scratch.enough` may be given a bound from below. Where
+    something has less than `scratch.least`, the room is not written and False is returned.
     """
     arm, pairs, obstacles, enough = scratch.arm, scratch.pairs, around.obstacles, scratch.enough
-    fill(chain, scratch.places, arm)
-    links = len(chain.capsule_joint)
-    room[:] = np.inf
-    bound_by_balls(obstacles, arm.segment_start, arm.segment_end, 0.0, pairs.distance)
-    farthest = 0.0
-    for link in range(links):
-        farthest = max(farthest, enough[link])
-        for obstacle in range(pairs.distance.shape[1]):
-            bound = pairs.distance[link, obstacle]
-            if obstacles.shapes[obstacle] != ELLIPSOID and bound > enough[link]:
-                if not is_contact(obstacles, link, obstacle):
-                    room[link] = min(room[link], bound)
-                pairs.distance[link, obstacle] = np.inf
-    measure_unless(obstacles, arm.segment_start, arm.segment_end, 0.0, farthest, pairs)
-    for link in range(links):
-        for obstacle in range(pairs.distance.shape[1]):
-            if not is_contact(obstacles, link, obstacle):
-                room[link] = min(room[link], pairs.distance[link, obstacle])
+    place_joints(arm.q, chain, scratch.places, arm.joint_screws)
+    fill_links(scratch.places, chain, arm.segment_start, arm.segment_end)
+    if around.in_cone:
+        fill_tip(chain, scratch.places, arm)
+    links, forgiven = len(chain.capsule_joint), around.forgiven
     ends = links + len(around.links)
+    scratch.work[0] += _COST_OF_JOINT * len(arm.q) + _COST_OF_LINKS * len(around.links)
+    room[:] = np.inf
     write_link_distances(arm.segment_start, arm.segment_end, around.radii, around.links,
                          room[links:ends], scratch.points)
     if around.in_cone:
@@ -178,13 +185,34 @@ def write_room(chain: Chain, around: Around, scratch: Scratch, room: OutVector) 
                     cosine += around.cone.direction[i] * rotation[i, j] * around.cone.axis[j]
             room[ends] = min(
                 room[ends], around.cone.angle - math.acos(min(max(cosine, -1.0), 1.0)))
-    for i in range(len(room)):
-        room[i] += around.forgiven[i]
+    for k in range(links, len(room)):
+        if room[k] + forgiven[k] < scratch.least[k]:
+            return False
+    scratch.work[0] += _COST_OF_BALL * pairs.distance.size
+    bound_by_balls(obstacles, arm.segment_start, arm.segment_end, 0.0, pairs.distance)
+    for link in range(links):
+        for obstacle in range(pairs.distance.shape[1]):
+            bound = pairs.distance[link, obstacle]
+            if obstacles.shapes[obstacle] != ELLIPSOID and bound > enough[link]:
+                if not is_contact(obstacles, link, obstacle):
+                    room[link] = min(room[link], bound)
+                pairs.distance[link, obstacle] = np.inf
+    scratch.work[0] += _COST_OF_DISTANCE * measure_until(
+        obstacles, arm.segment_start, arm.segment_end, enough, scratch.least, pairs)
+    for link in range(links):
+        for obstacle in range(pairs.distance.shape[1]):
+            if not is_contact(obstacles, link, obstacle):
+                room[link] = min(room[link], pairs.distance[link, obstacle])
+    for k in range(len(room)):
+        room[k] += forgiven[k]
+        if room[k] < scratch.least[k]:
+            return False
+    return True
 
 
 @entry
-def rooms_at(postures: Matrix, chain: Chain, around: Around) -> Matrix:
-    """Return the room (N, k) of links at N postures (N, n).
+def rooms_at(postures: Matrix, chain: Chain, around: Around) -> tuple[Matrix, int]:
+    """Return the room (N, k) of links at N postures (N, n), and how much work that was.
 
     Args:
         postures: where the joints are.
@@ -196,7 +224,7 @@ def rooms_at(postures: Matrix, chain: Chain, around: Around) -> Matrix:
     for i in range(len(postures)):
         scratch.arm.q[:] = postures[i]
         write_room(chain, around, scratch, rooms[i])
-    return rooms
+    return rooms, scratch.work[0]
 
 
 @kernel
@@ -239,12 +267,12 @@ def go_on_with(
 
     Args:
         motion: which is changed.
-        most: how many postures are looked at.
+        most: work that the scratch may have seen when another posture is looked at.
         chain, around: the arm, and what is in its way.
         scratch: for numbers.
     """
     at, rooms, pieces, counts = motion.at, motion.rooms, motion.pieces, motion.counts
-    size, end = 0.0, counts[0] + most
+    size = 0.0
     for j in range(len(motion.step)):
         size = max(size, abs(motion.step[j]))
     while counts[1] < counts[2]:
@@ -254,9 +282,9 @@ def go_on_with(
         for k in range(len(motion.far)):
             narrow = narrow or span * motion.far[k] > rooms[one, k] + rooms[other, k]
         if narrow and span * size > _FINEST:
-            middle = counts[0]
-            if middle == end:
+            if scratch.work[0] >= most:
                 return PENDING
+            middle = counts[0]
             at[middle] = 0.5 * (at[one] + at[other])
             for j in range(len(motion.step)):
                 scratch.arm.q[j] = motion.start[j] + at[middle] * motion.step[j]
@@ -265,11 +293,14 @@ def go_on_with(
                 half = 0.5 * span * motion.far[k]
                 known = max(rooms[one, k], rooms[other, k]) - half
                 scratch.enough[k] = max(half, motion.least[k]) - around.forgiven[k]
+                scratch.least[k] = motion.least[k]
                 if known >= motion.least[k] and 2.0 * half <= rooms[one, k] + rooms[other, k]:
-                    scratch.enough[k] = -np.inf
-            write_room(chain, around, scratch, rooms[middle])
-            scratch.enough[:] = _AMPLE
+                    scratch.enough[k] = scratch.least[k] = -np.inf
+            free = write_room(chain, around, scratch, rooms[middle])
+            scratch.enough[:], scratch.least[:] = _AMPLE, -np.inf
             counts[0] = middle + 1
+            if not free:
+                return BLOCKED
             for k in range(len(motion.far)):
                 half = 0.5 * span * motion.far[k]
                 rooms[middle, k] = max(
@@ -294,6 +325,7 @@ def begin_looking(
 
 
 @entry
-def go_on_looking(motion: Motion, most: int, chain: Chain, around: Around) -> int:
-    """Go on looking at a motion, see `go_on_with`."""
-    return go_on_with(motion, most, chain, around, new_scratch(motion.start, chain, around))
+def go_on_looking(motion: Motion, most: int, chain: Chain, around: Around) -> tuple[int, int]:
+    """Go on looking at a motion, see `go_on_with`; return its state, and how much work it was."""
+    scratch = new_scratch(motion.start, chain, around)
+    return go_on_with(motion, most, chain, around, scratch), scratch.work[0]

@@ -42,8 +42,9 @@ Array = npt.NDArray[np.float64]
 # Postures that trees have memory for at first, as the first touch of much takes milliseconds, and
 # most of them: both together.
 _FEW_NODES, _MOST_NODES = 512, 4096
-# Looking for the nearest of so many postures costs as much as looking at one.
-_NEAREST_AT_ONCE = 300
+# What a posture costs among which the nearest is looked for, one that is kept where some are cut
+# off, and a step into the cone [ns].
+_COST_OF_NODE, _COST_OF_KEPT, _COST_OF_STEP = 10, 35, 1500
 # Steps that lead a posture into the tip's cone, to this share of its angle inside.
 _STEPS_INTO_CONE, _ROOM_IN_CONE = 6, 0.1
 _TINY = 1e-12
@@ -139,14 +140,14 @@ def cut_off(trees: Trees, edge: int) -> int:
     """Cut an edge of the way between trees that have met, and what hangs on it, off its tree.
 
     Returns:
-        How many postures that tree had.
+        How much work it was [ns].
     """
     forth, back = _branches(trees)
     tree, node = ((0, forth[edge + 1]) if edge + 1 < len(forth) else
                   (1, back[edge + 1 - len(forth)]))
     before = int(trees.numbers[tree])
     _remove(trees, tree, node)
-    return before
+    return _COST_OF_KEPT * before
 
 
 def _branches(trees: Trees) -> tuple[list[int], list[int]]:
@@ -196,6 +197,7 @@ def _into_cone(
     for _ in range(_STEPS_INTO_CONE):
         scratch.arm.q[:] = q
         fill(chain, scratch.places, scratch.arm)
+        scratch.work[0] += _COST_OF_STEP
         arm = scratch.arm
         room, gradient = cone_room(around.cone, arm.tip_rotations[0], arm.tip_jacobian[:6])
         for t in range(1, len(arm.tip_rotations)):
@@ -243,12 +245,10 @@ def _begin_branch(
         trees.branch[j] = aim[j] if share == 1.0 else near + share * (aim[j] - near)
     if share < 1.0 and around.in_cone:
         _into_cone(chain, around, scratch, low, high, trees.branch)
-    scratch.arm.q[:] = trees.branch
-    write_room(chain, around, scratch, trees.room)
-    for k in range(len(needed)):
-        if trees.room[k] < needed[k]:
-            return False
-    return begin_motion(motion, trees.postures[tree, root], trees.rooms[tree, root],
+    scratch.arm.q[:], scratch.least[:] = trees.branch, needed
+    free = write_room(chain, around, scratch, trees.room)
+    scratch.least[:] = -np.inf
+    return free and begin_motion(motion, trees.postures[tree, root], trees.rooms[tree, root],
                         trees.branch, trees.room, needed, reach)
 
 
@@ -273,7 +273,7 @@ def grow(
     low: Vector, high: Vector, reach: Matrix, most: int, chain: Chain,
     around: Around,
 ) -> tuple[int, int]:
-    """Grow trees a little further; return how it ended, and how many postures were looked at.
+    """Grow trees a little further; return how it ended, and how much work it was.
 
     Args:
         trees: which grow.
@@ -284,28 +284,26 @@ def grow(
         longest: of a branch [rad].
         low, high: (n,) of the joints [rad, m].
         reach: (k, n) see `begin_motion`.
-        most: how many postures may be looked at, about.
+        most: how much work it may be, about [ns].
         chain, around: the arm, and what is in its way.
     """
-    numbers, scratch, looked = trees.numbers, new_scratch(trees.branch, chain, around), 0
-    room_for = trees.postures.shape[1] - 1
-    while looked < most:
+    numbers, scratch = trees.numbers, new_scratch(trees.branch, chain, around)
+    room_for, work = trees.postures.shape[1] - 1, scratch.work
+    while work[0] < most:
         tree = 1 - numbers[_TREE] if numbers[_CONNECTS] == 1 else numbers[_TREE]
         state = BLOCKED
         if numbers[_LOOKS] == 1:
-            before = motion.counts[0]
-            state = go_on_with(motion, most - looked, chain, around, scratch)
-            looked += motion.counts[0] - before
+            state = go_on_with(motion, most, chain, around, scratch)
             if state == PENDING:
                 break
             numbers[_LOOKS] = 0
         else:
             if numbers[_CONNECTS] == 0:
                 if numbers[_COUNT] + numbers[_OTHER_COUNT] >= room_for:
-                    return TOO_LARGE, looked
+                    return TOO_LARGE, work[0]
                 if numbers[USED] == len(aims):
-                    return WANTING, looked
-            looked += 1 + numbers[tree] // _NEAREST_AT_ONCE
+                    return WANTING, work[0]
+            work[0] += _COST_OF_NODE * numbers[tree]
             if numbers[_CONNECTS] == 1:
                 aim = trees.postures[numbers[_TREE], numbers[_AIM]]
             else:
@@ -321,7 +319,7 @@ def grow(
         alone = numbers[_OTHER_COUNT] == 0
         if numbers[_CONNECTS] == 1:
             if free and numbers[_ARRIVES] == 1:
-                return MET, looked
+                return MET, work[0]
             if not free or numbers[tree] >= room_for:
                 numbers[_CONNECTS], numbers[_TREE] = 0, _smaller_tree(numbers)
         elif not alone:
@@ -329,4 +327,4 @@ def grow(
                 numbers[_CONNECTS], numbers[_AIM] = 1, numbers[tree] - 1
             else:
                 numbers[_TREE] = _smaller_tree(numbers)
-    return GROWING, looked
+    return GROWING, work[0]

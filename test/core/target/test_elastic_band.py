@@ -20,6 +20,7 @@ from redundant_planner.core.target.elastic_band import (
     pulled_tight,
     solve_step,
 )
+from redundant_planner.core.target.straight_motion import COST_OF_CALL
 
 PANDA = make_panda()
 SEEDS = st.integers(0, 2**32 - 1)
@@ -186,8 +187,7 @@ def test_a_step_solves_the_problem(seed):
 def test_small_pieces_of_work_come_to_the_same():
     space = space_among([WALL])
     ways = []
-    for at_once in (1, 5, 5000):
-        space.at_once = at_once
+    for space.piece in (COST_OF_CALL + 1, 50_000, 100_000_000):
         ways.append(np.array([place.q for place in tight(space, [LEFT, OVER, RIGHT])]))
     np.testing.assert_array_equal(ways[0], ways[1])
     np.testing.assert_array_equal(ways[0], ways[2])

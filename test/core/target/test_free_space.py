@@ -13,16 +13,24 @@ from target_run import tip
 
 from redundant_planner.core.constants import gains_of, limits_of, robot_constants
 from redundant_planner.core.horizon.least_norm_path import path_joints
+from redundant_planner.core.kernels import compiled, Matrix, OutMatrix
 from redundant_planner.core.obstacles.inflation import inflated_obstacles
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import se3
+from redundant_planner.core.robot.kinematics import Chain
 from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal_postures import goal_postures, off_poses, posture_at
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.path_search import PathSearch
+from redundant_planner.core.target.straight_motion import (
+    Around,
+    COST_OF_CALL,
+    new_scratch,
+    write_room,
+)
 
 PANDA = make_panda()
 SEEDS = st.integers(0, 2**32 - 1)
@@ -70,6 +78,36 @@ def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
     assert between > 0.0 if free else between < 0.01
 
 
+@compiled
+def too_little_is_seen(
+    postures: Matrix, least: float, chain: Chain, around: Around, rooms: OutMatrix,
+) -> tuple[int, int]:
+    """Write rooms (N, k), left out below a bound; return how many were, and the work."""
+    scratch, left_out = new_scratch(postures[0], chain, around), 0
+    scratch.least[:] = least
+    for i in range(len(postures)):
+        scratch.arm.q[:] = postures[i]
+        if not write_room(chain, around, scratch, rooms[i]):
+            rooms[i] = -1.0
+            left_out += 1
+    return left_out, scratch.work[0]
+
+
+@given(SEEDS, st.floats(0.0, 0.05))
+def test_where_there_is_too_little_room_the_rest_is_left_out(seed, least):
+    random = np.random.default_rng(seed)
+    space = space_among(crowd(random))
+    postures = random.uniform(PANDA.position_min, PANDA.position_max, (30, 7))
+    before = space.spent
+    known, some = space.rooms(postures), np.empty((30, len(space.reach)))
+    left_out, work = too_little_is_seen(postures, least, PANDA.chain, space.around, some)
+    assert 0 < work <= space.spent - before
+    np.testing.assert_array_equal(some[:, 0] == -1.0, (known < least).any(axis=1))
+    free = (known >= least).all(axis=1)
+    assert left_out == 30 - free.sum()
+    np.testing.assert_array_equal(some[free], known[free])
+
+
 @settings(max_examples=examples(30))
 @given(SEEDS)
 def test_a_motion_is_judged_alike_in_small_pieces_and_large_ones(seed):
@@ -77,11 +115,18 @@ def test_a_motion_is_judged_alike_in_small_pieces_and_large_ones(seed):
     space = space_among(crowd(random))
     one, other = two_places(space, random)
     needed, answers, work = space.asked(0.01), [], []
-    for space.at_once in (1, 1000):
-        before = space.spent
-        answers.append(answer(space.is_free_between(one, other, needed)))
-        work.append(space.spent - before)
-    assert answers[0] == answers[1] and work[0] == work[1]
+    for space.piece in (COST_OF_CALL + 1, 100_000_000):
+        before, pieces = space.spent, 1
+        looking = space.is_free_between(one, other, needed)
+        while True:
+            try:
+                next(looking)
+            except StopIteration as over:
+                answers.append(over.value)
+                break
+            pieces += 1
+        work.append(space.spent - before - COST_OF_CALL * pieces)
+    assert answers[0] == answers[1] and (work[0] == work[1] or work[1] == -COST_OF_CALL)
 
 
 def test_of_a_motion_of_a_thousand_turns_nobody_says_that_it_is_free():
@@ -173,9 +218,9 @@ def test_out_of_reach_is_known_after_a_while():
     work = search.work()
     for _ in range(3000):
         next(work)
-        if search.out_of_reach:
+        if search.goals.out_of_reach:
             break
-    assert search.out_of_reach and search.way is None
+    assert search.goals.out_of_reach and search.way is None
 
 
 @pytest.mark.parametrize('goal', [

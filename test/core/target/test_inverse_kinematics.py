@@ -13,7 +13,7 @@ from redundant_planner.core.horizon.least_norm_path import path_joints
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.se3 import Poses
-from redundant_planner.core.target.inverse_kinematics import AT_POSE, self_motion, solve
+from redundant_planner.core.target.inverse_kinematics import are_apart, AT_POSE, self_motion, solve
 
 PANDA = make_panda()
 P = PlannerParameters()
@@ -67,10 +67,12 @@ def test_a_self_motion_leaves_the_tip_where_it_is(seed):
     random = np.random.default_rng(seed)
     q, size = anywhere(random), 0.15
     pose = tip(PANDA, q)
-    postures = self_motion(q, Poses.of(pose), random.normal(size=7), size, 10, PANDA.chain, JOINTS)
+    postures, taken = self_motion(
+        q, Poses.of(pose), random.normal(size=7), size, 10, PANDA.chain, JOINTS)
     steps = np.linalg.norm(np.diff(np.vstack((q, postures)), axis=0), axis=1)
     # At a joint's limit a step is shorter.
     assert len(postures) == 0 or steps.max() < 4.0 * size
+    assert taken >= len(postures)
     assert (postures >= JOINTS.position_min).all() and (postures <= JOINTS.position_max).all()
     for posture in postures:
         assert off(posture, pose) < AT_POSE
@@ -78,9 +80,17 @@ def test_a_self_motion_leaves_the_tip_where_it_is(seed):
 
 def test_a_self_motion_goes_on_in_one_direction():
     pose, aside = tip(PANDA, PANDA_READY), np.ones(7)
-    ahead, back = (self_motion(PANDA_READY, Poses.of(pose), way, 0.1, 5, PANDA.chain, JOINTS)
+    ahead, back = (self_motion(PANDA_READY, Poses.of(pose), way, 0.1, 5, PANDA.chain, JOINTS)[0]
                    for way in (aside, -aside))
     assert len(ahead) == len(back) == 5
     away = np.linalg.norm(np.vstack((ahead, back)) - PANDA_READY, axis=1)
     assert (np.diff(away[:5]) > 0.05).all() and (np.diff(away[5:]) > 0.05).all()
     assert (ahead[0] - PANDA_READY) @ (back[0] - PANDA_READY) < 0.0
+
+
+@given(SEEDS)
+def test_postures_are_apart_where_one_joint_is(seed):
+    random = np.random.default_rng(seed)
+    postures, others = random.random((6, 3)), random.random((int(random.integers(8)), 3))
+    nearest = np.abs(postures[:, None] - others).max(axis=2).min(axis=1, initial=np.inf)
+    np.testing.assert_array_equal(are_apart(postures, others, 0.4), nearest > 0.4)

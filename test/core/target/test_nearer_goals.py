@@ -47,7 +47,7 @@ def test_it_keeps_the_pose_and_no_way_along_the_null_space_leads_nearer(seed, ro
     best = float(space.distance(found, to))
     assert best <= float(space.distance(q, to)) + 1e-12
     for aside in (to - found, random.normal(size=robot.n), random.normal(size=robot.n)):
-        beside = self_motion(found, poses, aside, 0.02, 5, robot.chain, space.joints)
+        beside, _ = self_motion(found, poses, aside, 0.02, 5, robot.chain, space.joints)
         # A joint at the end of its range turns a step elsewhere than it was to lead.
         inside = (np.abs(beside - space.joints.position_min) > 1e-3).all(axis=1) & (
             np.abs(beside - space.joints.position_max) > 1e-3).all(axis=1)
