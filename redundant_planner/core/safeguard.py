@@ -93,6 +93,7 @@ class Safeguard:
         self._robot, self._parameters = robot, parameters
         self._commands, self._own = commands, own
         self._weights = joint_weights(robot, parameters)
+        self._angular = robot.chain.rows % 6 >= 3
         self._slow_down = SlowDown(robot, parameters.slow_down)
         self._way_out = LastWayOut(robot, constants, self.limits, parameters.singularity_margin)
 
@@ -176,7 +177,7 @@ class Safeguard:
             request, limits, barriers, weights=self._weights, gain=ask.gain * p.clearance_gain,
             price=ask.price, slides=last.slid, may_slide=ask.may_slide,
             may_yield=mode.leaves or (desired.intruded and p.path_priority != 'strict'),
-            leaves=mode.leaves, dt=start.dt), desired, start)
+            leaves=mode.leaves, dt=start.dt, angular=self._angular), desired, start)
 
     def _keeps(self, dq: Array, own: OwnRows, start: Start) -> bool:
         """Return whether a velocity (n,) keeps the user's barriers."""

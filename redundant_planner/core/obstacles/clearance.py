@@ -211,9 +211,18 @@ def link_clearance(
 
 
 @kernel
+def has_ellipsoids(obstacles: InflatedObstacles) -> bool:
+    """Return whether any obstacle is an ellipsoid."""
+    found = 0
+    for obstacle in range(len(obstacles.shapes)):
+        found += obstacles.shapes[obstacle] == ELLIPSOID
+    return found > 0
+
+
+@kernel
 def measure_link(
     obstacles: InflatedObstacles, link: int, start: Place, end: Place, time: float,
-    enough: float, least: float, pairs: Pairs,
+    enough: float, least: float, some: bool, pairs: Pairs,
 ) -> tuple[float, int]:
     """Write what a link's row of `Pairs` is, unless it is known to be more than is asked for.
 
@@ -226,16 +235,15 @@ def measure_link(
         time: when it is there, from now [s].
         enough: what is further away than this, and than the nearest, may keep its bound [m].
         least: how near the nearest is that is known [m].
+        some: whether there are ellipsoids.
         pairs: which are written.
 
     Returns:
         how near the nearest is then, and how many shapes other than ellipsoids were measured.
     """
-    smallest, count, ellipsoids, measured = obstacles.smallest, len(obstacles.shapes), 0, 0
-    for obstacle in range(count):
-        ellipsoids += obstacles.shapes[obstacle] == ELLIPSOID
+    smallest, count, measured = obstacles.smallest, len(obstacles.shapes), 0
     # As if all of them were ellipsoids: without a branch it is done for several at once.
-    for obstacle in range(count if ellipsoids > 0 else 0):
+    for obstacle in range(count if some else 0):
         rho, t = _ellipsoid(obstacles, link, obstacle, time, start, end)
         pairs.normalized_distance[link, obstacle] = rho
         pairs.parameter[link, obstacle] = t
@@ -269,47 +277,49 @@ def measure_unless(
 
     `pairs.distance` is what is known of them: it bounds them from below.
     """
-    least = np.inf
+    least, some = np.inf, has_ellipsoids(obstacles)
     for link in range(len(start)):
         if not obstacles.moved[link]:
             pairs.distance[link], pairs.normalized_distance[link] = np.inf, np.inf
             pairs.parameter[link] = 0.0
             continue
         least, _ = measure_link(
-            obstacles, link, place(start, link), place(end, link), time, enough, least, pairs)
+            obstacles, link, place(start, link), place(end, link), time, enough, least, some,
+            pairs)
 
 
 @compiled
 def measure_until(
     obstacles: InflatedObstacles, start: Matrix, end: Matrix, enough: Vector, too_near: Vector,
-    pairs: Pairs,
+    forgiven: Vector, pairs: Pairs,
 ) -> int:
-    """Do what `measure_unless` does, for each link by itself, until one is too near.
+    """Write distances as `measure_unless` does, for each link by itself, until one is too near.
 
-    The last links come first: they are the first to touch something. Those that are left out have
-    the bounds they had.
+    The last links come first: they are the first to touch something. Those before it are left as
+    they were then, and of links that do not move the distance alone is written.
 
     Args:
         obstacles: as they are now.
         start, end: (c, 3) of the links' segments [m].
         enough: (c,) what is further from a link than this may keep its bound [m].
         too_near: (c,) it ends with a link that is nearer than this [m].
+        forgiven: (c,) what is added to its distances before.
         pairs: which are written.
 
     Returns:
         how many shapes other than ellipsoids were measured.
     """
-    measured = 0
+    measured, some = 0, has_ellipsoids(obstacles)
     for link in range(len(start) - 1, -1, -1):
         if not obstacles.moved[link]:
             pairs.distance[link] = np.inf
             continue
         _, more = measure_link(obstacles, link, place(start, link), place(end, link), 0.0,
-                               enough[link], -np.inf, pairs)
+                               enough[link], -np.inf, some, pairs)
         measured += more
         for obstacle in range(len(obstacles.shapes)):
-            if pairs.distance[link, obstacle] < too_near[link] and not is_contact(
-                    obstacles, link, obstacle):
+            distance = pairs.distance[link, obstacle] + forgiven[link]
+            if distance < too_near[link] and not is_contact(obstacles, link, obstacle):
                 return measured
     return measured
 

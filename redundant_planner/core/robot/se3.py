@@ -97,8 +97,8 @@ def _is_rotation(matrix: Array) -> bool:
     return all(abs(number) < _NO_ROTATION for number in off) and volume > 0.0
 
 
-def same(one: Pose | Poses, other: Pose | Poses) -> bool:
-    """Return whether poses are the same to the last bit."""
+def same_poses(one: Pose | Poses, other: Pose | Poses) -> bool:
+    """Return whether poses are the same numbers."""
     return (one.position.tolist() == other.position.tolist()
             and one.rotation.tolist() == other.rotation.tolist())
 

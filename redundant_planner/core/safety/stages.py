@@ -20,6 +20,7 @@ turn or stop at once.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,7 @@ from redundant_planner.core.safety.qp import Found, solve, StageProblem
 from redundant_planner.core.safety.stage import Stage
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 
 class _Rule(NamedTuple):
@@ -152,12 +154,16 @@ _TURNING_ASIDE, _SPEEDING_UP = 0.05, 0.25
 # How many times dearer joint motion is where the tip slides. With the path's price, 1e4, that is
 # 0.05² of the tip's squared deviation [m²]: beside a singularity joints would race for little.
 _SLIDING_COST = 25.0
+# A radian that a sliding tip turns aside weighs as much as so many metres that it is shifted,
+# where it is to be shifted, and where it is to be turned [m/rad]: what is not commanded is to stay
+# as it is. A turn that cannot go on would else lead the tip far through the room.
+_SHIFTING, _TURNING = 1.0, 0.1
 
 
 def safe_velocity(
     request: Request, limits: Limits, barriers: Barriers, *, weights: Array, gain: float,
     may_yield: bool, may_slide: bool, dt: float, slides: bool = False, leaves: bool = False,
-    price: float = 1.0,
+    price: float = 1.0, angular: Flags | None = None,
 ) -> Filtered:
     """Return the admissible joint velocity nearest to the desired one.
 
@@ -176,6 +182,7 @@ def safe_velocity(
         leaves: whether what is asked for leaves the path already: then nothing is to be scaled,
             and what the barriers leave of it comes next to it.
         price: of the twist, as a share of what it is worth at most.
+        angular: (m,) which axes of the twist turn the tip; none if None.
     """
     previous = request.previous
     stop = stopping_time(previous, limits.acceleration_max)
@@ -223,7 +230,7 @@ def safe_velocity(
                 found is not None and (
                     found.scales[path_shares].min() >= 1.0
                     or not (slides or len(found.pairs)))):
-            slid = _slid(problem, request, limits, longer, dt)
+            slid = _slid(problem, request, limits, longer, dt, _lengths(problem, angular))
             if slid is not None:
                 return slid
         if found is not None:
@@ -243,8 +250,24 @@ def safe_velocity(
     return Filtered(still, 0.0, 1.0, Stage.STOPPED, _NONE, _NONE, tuple(cut_short))
 
 
+def _lengths(problem: StageProblem, angular: Flags | None) -> Array:
+    """Return how much each axis (m,) counts where a tip slides [m/rad]; see `_SHIFTING`."""
+    lengths = np.ones(len(problem.twist))
+    if angular is None:
+        return lengths
+    for share in range(problem.shares):
+        own = problem.share_of == share
+        shift = float(np.square(problem.twist[own & ~angular]).sum())
+        turn = float(np.square(problem.twist[own & angular]).sum())
+        if turn > 0.0:
+            lengths[own & angular] = math.sqrt(
+                (_SHIFTING**2 * shift + _TURNING**2 * turn) / (shift + turn))
+    return lengths
+
+
 def _slid(
     problem: StageProblem, request: Request, limits: Limits, stop: float, dt: float,
+    lengths: Array,
 ) -> Filtered | None:
     """Return a velocity that turns aside from what is in the way, None where there is none.
 
@@ -256,12 +279,15 @@ def _slid(
         problem: of the stage in which the speed alone gives way.
         request, limits, dt: see `safe_velocity`.
         stop: stopping time T that the next velocity may have [s].
+        lengths: (m,) how much each axis of the twist counts.
     """
     previous = request.previous
     lower, upper, _ = bounds_of_velocity(
         request.q, previous, limits._replace(acceleration_max=np.full(len(previous), _AT_ONCE)),
         stop, dt)
-    slide = problem._replace(path_gives_way=True, whole=True)
+    slide = problem._replace(
+        path_gives_way=True, whole=True, jacobian=lengths[:, None] * problem.jacobian,
+        twist=lengths * problem.twist, turning=lengths * problem.turning)
     then, _ = solve(slide._replace(
         desired=request.aside, weights=_SLIDING_COST * problem.weights, lower=lower, upper=upper))
     if then is None:
@@ -276,7 +302,7 @@ def _slid(
         1.0 if turns_back else dt / (dt + _TURNING_ASIDE),
         float((step / np.maximum(np.abs(change), TOLERANCE)).min()))
     found, _ = solve(slide._replace(
-        desired=next_one, twist=request.jacobian @ next_one + request.turning))
+        desired=next_one, twist=lengths * (request.jacobian @ next_one + request.turning)))
     if found is None:
         return None
     squared = float(problem.twist @ problem.twist)

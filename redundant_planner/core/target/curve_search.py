@@ -12,11 +12,12 @@ from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.joint_curve import JointCurve, lengths_along, resampled
 from redundant_planner.core.target.path_search import PathSearch
+from redundant_planner.core.target.straight_motion import COST_OF_CALL
 
 Array = npt.NDArray[np.float64]
 
 # What a piece of work costs besides, the least one, and a curve that is looked at [ns].
-_COST_OF_PIECE, _LEAST_PIECE, _COST_OF_CURVE = 5000, 30_000, 250_000
+_COST_OF_PIECE, _LEAST_PIECE, _COST_OF_CURVE = 5000, 3 * COST_OF_CALL, 250_000
 # Distances between control points of the curve, in turn until it is free [rad].
 _SPACINGS = (0.2, 0.1, 0.05, 0.025)
 # Postures of a curve's span that are looked at.
@@ -147,6 +148,7 @@ class CurveSearch:
             at = np.linspace(float(len(before) > 0), curve.spans,
                              _LOOKS_PER_SPAN * curve.spans + 1)
             space.spend(_COST_OF_CURVE)
+            yield
             free = True
             for some in space.slices(len(at)):
                 free = not (space.rooms(curve.at(at[some])) < least).any()

@@ -24,7 +24,7 @@ _GUESSES, _ENOUGH, _FEWEST_GUESSES, _OF_FAMILY = 60, 12, 12, 3
 # Guesses without any posture after which a pose counts as out of reach.
 _GUESSES_OUT_OF_REACH = 300
 # What it costs to see which postures are free, and to choose some of a family [ns].
-_COST_OF_LOOK, _COST_OF_CHOICE = 40_000, 50_000
+_COST_OF_JUDGING, _COST_OF_SORTING = 40_000, 50_000
 
 
 class FreeGoals:
@@ -93,7 +93,7 @@ class FreeGoals:
 
     def _free(self, found: list[Place]) -> list[Place]:
         """Return the places that are free; note the one that is most nearly so."""
-        self._space.spend(_COST_OF_LOOK)
+        self._space.spend(_COST_OF_JUDGING)
         least = stacked_places(found)[1].min(axis=1)
         free: Flags = np.greater_equal(least, _ROOM)
         best = int(np.where(free, -np.inf, least).argmax())
@@ -104,7 +104,7 @@ class FreeGoals:
     def _add(self, family: list[Place]) -> None:
         """Add some of those that one guess led to: the nearest, and a few others."""
         if family:
-            self._space.spend(_COST_OF_CHOICE)
+            self._space.spend(_COST_OF_SORTING)
             away = self._space.distance(self._start, stacked_places(family)[0])
             order = np.argsort(away, kind='stable')[::math.ceil(len(family) / _OF_FAMILY)]
             self.places += [family[i] for i in order]

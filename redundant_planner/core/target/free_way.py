@@ -210,7 +210,7 @@ class FreeWay:
     def _is_another(self, target: Goal | Poses) -> bool:
         known = self._target
         if isinstance(target, tuple) and isinstance(known, tuple):
-            return not se3.same(target, known) and float(np.abs(
+            return not se3.same_poses(target, known) and float(np.abs(
                 se3.poses_error(stacked(target), stacked(known), False)).max()) > _ANOTHER
         return (known is None or isinstance(target, tuple) or isinstance(known, tuple)
                 or not np.array_equal(target, known))

@@ -21,7 +21,7 @@ _ASIDE, _ASIDE_SIZE = 6, 0.25
 # A posture is another one than those known if a joint is this far from each of them [rad, m].
 _APART = 0.07
 # What looking for postures costs, each step to the poses, and two postures that may be one [ns].
-_COST_OF_CALL, _COST_OF_STEP, _COST_OF_KNOWN = 30_000, 2500, 4
+_COST_OF_GUESS, _COST_OF_STEP, _COST_OF_KNOWN = 30_000, 2500, 4
 # Steps towards another posture, so many before the next look. They become smaller where they leave
 # more than this share of the distance, from the first to the last [rad, m].
 _AT_ONCE, _WORTH_IT, _NEARER, _NEAREST = 4, 0.99, 0.3, 0.02
@@ -102,7 +102,7 @@ def only_posture(
 def posture_at(space: FreeSpace, guess: Array, poses: Poses) -> Array | None:
     """Return a posture (n,) with the tips at their poses; None where a guess leads elsewhere."""
     found = solve(guess, poses, space.robot.chain, space.joints)
-    space.spend(_COST_OF_CALL + _COST_OF_STEP * found.steps)
+    space.spend(_COST_OF_GUESS + _COST_OF_STEP * found.steps)
     return found.q if found.error < AT_POSE else None
 
 
@@ -111,7 +111,7 @@ def _beside(
 ) -> Array:
     """Return postures (k, n) along the null space, see `self_motion`."""
     beside, steps = self_motion(q, poses, aside, size, count, space.robot.chain, space.joints)
-    space.spend(_COST_OF_CALL + _COST_OF_STEP * (steps + count))
+    space.spend(_COST_OF_GUESS + _COST_OF_STEP * (steps + count))
     return beside
 
 

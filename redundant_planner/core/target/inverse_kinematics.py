@@ -159,12 +159,12 @@ def are_apart(postures: Matrix, others: Matrix, least: float) -> Flags:
     apart = np.ones(len(postures), np.bool_)
     for i in range(len(postures)):
         for other in range(len(others)):
-            same = True
+            alike = True
             for j in range(postures.shape[1]):
                 if abs(postures[i, j] - others[other, j]) > least:
-                    same = False
+                    alike = False
                     break
-            if same:
+            if alike:
                 apart[i] = False
                 break
     return apart

@@ -58,10 +58,10 @@ _BETTER, _AS_GOOD, _GOOD = 0.98, 1.05, 1.1
 # Longest branch that is tried at once [rad, joint weights included]: anywhere, where the way may
 # have little room, and where the tip stays in a cone.
 _BRANCH, _BRANCH_IN_GAPS, _BRANCH_IN_CONE = 0.8, 0.5, 0.2
-# Random postures that trees grow towards, drawn at once, and what they cost, trees, a way that is
-# to become shorter, and a look at all goals [ns].
-_AIMS, _COST_OF_AIMS, _COST_OF_TREES = 128, 180_000, 100_000
-_COST_OF_WAY, _COST_OF_LOOK = 200_000, 50_000
+# Random postures that trees grow towards, drawn at once, and what drawing costs and each of them;
+# trees, a way that is to become shorter, and a price or a look at all goals [ns].
+_AIMS, _COST_OF_DRAWING, _COST_OF_AIM = 128, 60_000, 1000
+_COST_OF_TREES, _COST_OF_WAY, _COST_OF_PRICE = 100_000, 200_000, 50_000
 # Work at trees in one attempt [ns]: then those with other room have their turn.
 _WORK = 35_000_000
 # Attempts at a shortcut and how many in vain end them, of any way and of one that may become the
@@ -81,7 +81,7 @@ class PathSearch:
         good: whether it costs little more than any way might, a straight one to the best goal.
         shortened: whether it has been made shorter, roughly at least.
         rounds: how many attempts have ended since the first way was found.
-        goals: that are known.
+        goals: that are known so far, see `FreeGoals`.
         aside: whether the way leads out of the way of others, and not to a goal.
     """
 
@@ -127,7 +127,7 @@ class PathSearch:
                 yield from self._explore()
                 continue
             if (self._most(room) <= self.goals.away).all():
-                self._space.spend(_COST_OF_LOOK)
+                self._space.spend(_COST_OF_PRICE)
                 yield
                 # Where those with little room could not be better, others still may.
                 self.rounds += room == _ROOMS[0]
@@ -196,7 +196,7 @@ class PathSearch:
 
     def _price_of(self, way: Way, room: float) -> float:
         """Return what a way with some room costs: its length, if nothing else counts."""
-        self._space.spend(_COST_OF_LOOK)
+        self._space.spend(_COST_OF_PRICE)
         return self.length(way) * _PRICES[room] + float(self._space.price_of_end(way[-1].q))
 
     def _note(self, way: Way, room: float) -> None:
@@ -272,7 +272,7 @@ class PathSearch:
         if trees.numbers[:2].all():
             towards[::2] = near_trees(self._random, len(towards[::2]), trees, low, high)
         trees.numbers[USED] = 0
-        space.spend(_COST_OF_AIMS)
+        space.spend(_COST_OF_DRAWING + _COST_OF_AIM * aims)
         yield
         motion, needed = self._motion(), space.asked(room)
         longest = (_BRANCH_IN_CONE if space.narrow else

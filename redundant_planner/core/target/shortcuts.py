@@ -40,7 +40,7 @@ _CUTS = 4
 # Random numbers of an attempt.
 NUMBERS = 6
 # What the choice of a shortcut costs [ns].
-_COST_OF_CHOICE = 150
+_COST_OF_ATTEMPT = 150
 # More corners than before a shortcut takes away.
 _ADDED = 2
 # The entries of `Shortening.numbers`: corners of the way, attempts, those in vain one after the
@@ -194,7 +194,7 @@ def shorten(
         if state[_ATTEMPT] == len(random) or state[_IN_VAIN] > most_in_vain or (
                 state[COUNT] == 2 and state[_ATTEMPT] > _CUTS * len(goals)):
             return True, scratch.work[0]
-        scratch.work[0] += _COST_OF_CHOICE
+        scratch.work[0] += _COST_OF_ATTEMPT
         chosen = _choose(way, goals, random[state[_ATTEMPT]], scaling)
         state[_ATTEMPT] += 1
         state[_IN_VAIN] += 1

@@ -36,8 +36,8 @@ from redundant_planner.core.obstacles.shapes import ELLIPSOID
 from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.kinematics import (
     Chain,
+    fill,
     fill_links,
-    fill_tip,
     JointPlaces,
     Kinematics,
     new_kinematics_compiled,
@@ -50,8 +50,10 @@ Array = npt.NDArray[np.float64]
 # What has more room than this need not be measured exactly [m].
 _AMPLE = 0.3
 # What memory for numbers costs and the call from Python that needs it, and at a posture a joint,
-# two links, a link and the ball around an obstacle, and a distance that balls do not settle [ns].
-COST_OF_CALL, _COST_OF_JOINT, _COST_OF_LINKS = 10_000, 250, 10
+# the tips and two links [ns].
+COST_OF_CALL, _COST_OF_JOINT, _COST_OF_TIPS, _COST_OF_LINKS = 10_000, 250, 800, 10
+# What a link and the ball around an obstacle cost, or an ellipsoid; and a distance from anything
+# else that its ball does not settle, be it a bound or exact, on average [ns].
 _COST_OF_BALL, _COST_OF_DISTANCE = 6, 42
 # Pieces of a motion shorter than this are not halved any more, and one that is longer than a
 # hundred turns counts as blocked, as nobody has the memory to look at it [rad, m].
@@ -164,13 +166,15 @@ def write_room(chain: Chain, around: Around, scratch: Scratch, room: OutVector) 
     """Write the room (k,) at the posture that is in the scratch's arm.
 
     What has more room to obstacles than `scratch.enough` may be given a bound from below. Where
-    something has less than `scratch.least`, the room is not written and False is returned.
+    something has less than `scratch.least` False is returned, and the room is not complete.
     """
     arm, pairs, obstacles, enough = scratch.arm, scratch.pairs, around.obstacles, scratch.enough
-    place_joints(arm.q, chain, scratch.places, arm.joint_screws)
-    fill_links(scratch.places, chain, arm.segment_start, arm.segment_end)
     if around.in_cone:
-        fill_tip(chain, scratch.places, arm)
+        fill(chain, scratch.places, arm)
+        scratch.work[0] += _COST_OF_TIPS
+    else:
+        place_joints(arm.q, chain, scratch.places, arm.joint_screws)
+        fill_links(scratch.places, chain, arm.segment_start, arm.segment_end)
     links, forgiven = len(chain.capsule_joint), around.forgiven
     ends = links + len(around.links)
     scratch.work[0] += _COST_OF_JOINT * len(arm.q) + _COST_OF_LINKS * len(around.links)
@@ -198,7 +202,7 @@ def write_room(chain: Chain, around: Around, scratch: Scratch, room: OutVector) 
                     room[link] = min(room[link], bound)
                 pairs.distance[link, obstacle] = np.inf
     scratch.work[0] += _COST_OF_DISTANCE * measure_until(
-        obstacles, arm.segment_start, arm.segment_end, enough, scratch.least, pairs)
+        obstacles, arm.segment_start, arm.segment_end, enough, scratch.least, forgiven, pairs)
     for link in range(links):
         for obstacle in range(pairs.distance.shape[1]):
             if not is_contact(obstacles, link, obstacle):
@@ -267,7 +271,7 @@ def go_on_with(
 
     Args:
         motion: which is changed.
-        most: work that the scratch may have seen when another posture is looked at.
+        most: no other posture is begun once `scratch.work` has reached this [ns].
         chain, around: the arm, and what is in its way.
         scratch: for numbers.
     """
@@ -294,8 +298,10 @@ def go_on_with(
                 known = max(rooms[one, k], rooms[other, k]) - half
                 scratch.enough[k] = max(half, motion.least[k]) - around.forgiven[k]
                 scratch.least[k] = motion.least[k]
-                if known >= motion.least[k] and 2.0 * half <= rooms[one, k] + rooms[other, k]:
-                    scratch.enough[k] = scratch.least[k] = -np.inf
+                if known >= motion.least[k]:
+                    scratch.least[k] = -np.inf
+                    if 2.0 * half <= rooms[one, k] + rooms[other, k]:
+                        scratch.enough[k] = -np.inf
             free = write_room(chain, around, scratch, rooms[middle])
             scratch.enough[:], scratch.least[:] = _AMPLE, -np.inf
             counts[0] = middle + 1

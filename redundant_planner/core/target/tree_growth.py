@@ -44,7 +44,7 @@ Array = npt.NDArray[np.float64]
 _FEW_NODES, _MOST_NODES = 512, 4096
 # What a posture costs among which the nearest is looked for, one that is kept where some are cut
 # off, and a step into the cone [ns].
-_COST_OF_NODE, _COST_OF_KEPT, _COST_OF_STEP = 10, 35, 1500
+_COST_OF_NODE, _COST_OF_KEPT, _COST_OF_TILT = 10, 35, 1500
 # Steps that lead a posture into the tip's cone, to this share of its angle inside.
 _STEPS_INTO_CONE, _ROOM_IN_CONE = 6, 0.1
 _TINY = 1e-12
@@ -197,7 +197,7 @@ def _into_cone(
     for _ in range(_STEPS_INTO_CONE):
         scratch.arm.q[:] = q
         fill(chain, scratch.places, scratch.arm)
-        scratch.work[0] += _COST_OF_STEP
+        scratch.work[0] += _COST_OF_TILT
         arm = scratch.arm
         room, gradient = cone_room(around.cone, arm.tip_rotations[0], arm.tip_jacobian[:6])
         for t in range(1, len(arm.tip_rotations)):
@@ -248,8 +248,9 @@ def _begin_branch(
     scratch.arm.q[:], scratch.least[:] = trees.branch, needed
     free = write_room(chain, around, scratch, trees.room)
     scratch.least[:] = -np.inf
-    return free and begin_motion(motion, trees.postures[tree, root], trees.rooms[tree, root],
-                        trees.branch, trees.room, needed, reach)
+    return free and begin_motion(
+        motion, trees.postures[tree, root], trees.rooms[tree, root], trees.branch, trees.room,
+        needed, reach)
 
 
 @kernel

@@ -21,7 +21,7 @@ from redundant_planner.core.redundancy.coupling import Coupling
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.kinematics import Kinematics
 from redundant_planner.core.robot.model import Robot
-from redundant_planner.core.robot.se3 import Pose, Poses, same
+from redundant_planner.core.robot.se3 import Pose, Poses, same_poses
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.safety.own_barriers import OwnBarriers
@@ -326,7 +326,7 @@ def _same(target: Goal, known: Goal | Poses | None) -> bool:
     if known is None or type(target) is not type(known):
         return False
     if isinstance(target, tuple) and isinstance(known, tuple):
-        return same(target, known)
+        return same_poses(target, known)
     return bool(np.array_equal(target, known))
 
 

@@ -80,6 +80,18 @@ def test_pressed_onto_a_table_the_tip_goes_on_along_it():
     assert held.moved[1] < 0.1
 
 
+@pytest.mark.parametrize('twist', [(0.0, 0.0, 0.0, 0.0, 0.8, 0.0), (0.0, 0.0, 0.0, 0.8, 0.0, 0.0)])
+def test_a_turn_that_cannot_go_on_leaves_the_tip_about_where_it_is(twist):
+    """The wrist ends up at its own links and limits; half a metre aside it could turn on."""
+    run = Run([], path_priority='slide').go(twist, 6.0)
+    velocities = np.array([result.dq for result in run.results])
+    assert limit_violation(PANDA, np.array(run.positions), velocities, DT) == 0.0
+    assert run.stages.count(Stage.SLIDING) > 200
+    shifted = np.linalg.norm([
+        result.pose.position - BEGIN.tip_position for result in run.results], axis=1)
+    assert shifted.max() < 0.15 and run.turned > 1.8
+
+
 def test_straight_onto_a_face_it_stops_and_away_from_it_it_goes_at_once():
     run = Run([TABLE], path_priority='slide').go((0.0, 0.0, -0.08, 0.0, 0.0, 0.0), 3.0)
     run.assert_safe()

@@ -65,10 +65,10 @@ def test_a_pose_that_is_nowhere_is_given_up_soon():
 @given(SEEDS)
 def test_a_self_motion_leaves_the_tip_where_it_is(seed):
     random = np.random.default_rng(seed)
-    q, size = anywhere(random), 0.15
+    q, size = anywhere(random), 0.25
     pose = tip(PANDA, q)
     postures, taken = self_motion(
-        q, Poses.of(pose), random.normal(size=7), size, 10, PANDA.chain, JOINTS)
+        q, Poses.of(pose), random.normal(size=7), size, 6, PANDA.chain, JOINTS)
     steps = np.linalg.norm(np.diff(np.vstack((q, postures)), axis=0), axis=1)
     # At a joint's limit a step is shorter.
     assert len(postures) == 0 or steps.max() < 4.0 * size

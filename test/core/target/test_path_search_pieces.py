@@ -17,6 +17,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.se3 import stacked
 from redundant_planner.core.target import free_goals
+from redundant_planner.core.target.curve_search import CurveSearch, OVERLAP
 from redundant_planner.core.target.free_way import Stretch
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.joint_way import JointWay
@@ -297,3 +298,21 @@ def test_goals_that_come_later_find_memory():
     # One place is left for a branch, however many there are.
     trees = with_goals(trees, np.zeros((20_000, 7)), np.ones((20_000, 4)))
     assert trees.numbers[1] == trees.postures.shape[1] - 1
+
+
+@pytest.mark.parametrize('work', [100_000, 1_000_000])
+def test_a_tick_thinks_no_longer_than_it_may(work):
+    """A piece of work is what is left of it: only what cannot be parted goes beyond."""
+    random = np.random.default_rng(5)
+    space = space_among([WALL, *crowd(random)])
+    search = CurveSearch(space, LEFT, stacked(tip(ROBOT, RIGHT)), space.joints.scaling,
+                         gives_way=False)
+    spent = []
+    for _ in range(40_000_000 // work):
+        before = space.spent
+        search.think(work)
+        spent.append(space.spent - before)
+        if search.found is not None:
+            search.improve(np.repeat(search.found[:1], OVERLAP + 1, axis=0), 0.0)
+    assert max(spent) < work + 350_000
+    assert work <= np.mean(spent) < work + 60_000
