@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from benchmark.judge import limit_violation
+from benchmark.judge import accelerations, limit_violation, reversals
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
@@ -90,6 +90,7 @@ def test_a_turn_that_cannot_go_on_leaves_the_tip_about_where_it_is(twist):
     shifted = np.linalg.norm([
         result.pose.position - BEGIN.tip_position for result in run.results], axis=1)
     assert shifted.max() < 0.15 and run.turned > 1.8
+    assert reversals(accelerations(velocities, DT), PANDA.acceleration_max) < 40
 
 
 def test_straight_onto_a_face_it_stops_and_away_from_it_it_goes_at_once():
