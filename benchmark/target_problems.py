@@ -41,6 +41,7 @@ class Problem(NamedTuple):
     obstacles: tuple[Obstacle, ...]
     moving: tuple[Obstacle, ...] = ()
 
+
 def problem_of(robot: Robot, seed: int, cone: Cone | None = None) -> Problem:
     """Return a random problem, with start and goal in a cone if there is one."""
     random = np.random.default_rng(seed)

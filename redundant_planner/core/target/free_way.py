@@ -146,6 +146,7 @@ class FreeWay:
         self.tried_line = False
         self._aside: float | None = None  # for how long it has been aside [s]
         self._look_age = 0.0
+        self._off = 0.0  # the joint that is furthest from where it should be [rad, m]
         self._patience = Patience()
 
     @property
@@ -181,7 +182,8 @@ class FreeWay:
             return None
         here, velocity = self._way.velocity(start.dt)
         off = here - start.arm.q
-        if self._way.over and np.abs(off).max() < _AT_REST:
+        self._off = float(np.abs(off).max(initial=0.0))
+        if self._way.over and self._off < _AT_REST:
             off = np.zeros_like(off)
         back = self._gain * off
         return JointMotion(velocity, np.clip(back, -_FEEDBACK_SPEED, _FEEDBACK_SPEED))
@@ -192,7 +194,9 @@ class FreeWay:
             self._aside += start.dt
             if self._aside > _ASIDE:
                 self._think(start, space())
-        elif self._may_go_straight:
+        elif self._may_go_straight and (
+                not _AT_REST <= self._off < _STANDS or self._patience.is_over):
+            # The last bit is the joints': where one is at its limit, the tip would not get there.
             self.stretch = Stretch.LINE
 
     def went_on(self, followed: float, residual: float, dt: float) -> None:
@@ -200,7 +204,7 @@ class FreeWay:
         if self._way is None:
             return
         self._way.went_on(followed, residual, dt)
-        self._patience.note(self._way.left, dt)
+        self._patience.note(self._way.left + self._off / _FEEDBACK_SPEED, dt)
 
     @property
     def _may_go_straight(self) -> bool:

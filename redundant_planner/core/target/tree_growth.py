@@ -45,8 +45,9 @@ _FEW_NODES, _MOST_NODES = 512, 4096
 # What a posture costs among which the nearest is looked for, one that is kept where some are cut
 # off, and a step into the cone [ns].
 _COST_OF_NODE, _COST_OF_KEPT, _COST_OF_TILT = 10, 35, 1500
-# Steps that lead a posture into the tip's cone, to this share of its angle inside.
-_STEPS_INTO_CONE, _ROOM_IN_CONE = 6, 0.1
+# Steps that lead a posture into the tip's cone, to this share of its angle inside, and by which
+# share of the longest branch one that was led there has to come nearer to what it grows towards.
+_STEPS_INTO_CONE, _ROOM_IN_CONE, _PROGRESS = 6, 0.1, 0.1
 _TINY = 1e-12
 # How a piece of work ended: it goes on, the trees have met, more random postures are wanted, or
 # the trees have become too large.
@@ -216,14 +217,21 @@ def _into_cone(
 
 
 @kernel
+def _squared(one: Vector, other: Vector, scaling: Vector) -> float:
+    """Return the square of how far postures (n,) are apart, joint weights included."""
+    squared = 0.0
+    for j in range(len(one)):
+        apart = (one[j] - other[j]) / scaling[j]
+        squared = squared + apart * apart
+    return squared
+
+
+@kernel
 def _nearest(trees: Trees, tree: int, aim: Vector, scaling: Vector) -> tuple[int, float]:
     """Return the number of a tree's posture that is nearest to another one (n,), and how near."""
     best, least = 0, np.inf
     for i in range(trees.numbers[tree]):
-        squared = 0.0
-        for j in range(len(aim)):
-            apart = (aim[j] - trees.postures[tree, i, j]) / scaling[j]
-            squared = squared + apart * apart
+        squared = _squared(aim, trees.postures[tree, i], scaling)
         if squared < least:
             best, least = i, squared
     return best, math.sqrt(least)
@@ -245,6 +253,9 @@ def _begin_branch(
         trees.branch[j] = aim[j] if share == 1.0 else near + share * (aim[j] - near)
     if share < 1.0 and around.in_cone:
         _into_cone(chain, around, scratch, low, high, trees.branch)
+        # Back where it came from, it would grow from there again and again.
+        if _squared(aim, trees.branch, scaling) > (size - _PROGRESS * longest) ** 2:
+            return False
     scratch.arm.q[:], scratch.least[:] = trees.branch, needed
     free = write_room(chain, around, scratch, trees.room)
     scratch.least[:] = -np.inf

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from conftest import examples, make_panda, make_paper_arm, PANDA_READY, PANDA_URDF
 from hypothesis import given, settings, strategies as st
 import numpy as np
@@ -10,8 +12,10 @@ from target_run import AT_REST, DT, EMPTY, moved, PANDA, Run, tip
 
 from benchmark.bodies import capsules_of
 from benchmark.closest_approach import Motion
+from benchmark.target_problems import problem_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
+from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.target.progress import TargetState
 
@@ -94,6 +98,18 @@ def test_a_new_target_on_the_way_is_taken_up():
     back = moved(tip(PANDA, LEFT), (0.0, 0.05, 0.1, 0.0, 0.0, 0.0))
     assert run.to(back, 15.0, Scene.of([WALL])).state is TargetState.REACHED
     assert clearance(run, (WALL,)) > 0.005
+    run.assert_within_limits()
+
+
+def test_it_arrives_where_a_joint_is_at_its_limit_near_a_singularity():
+    down = (0.0, 0.0, -1.0)
+    cone = Cone(np.array((0.0, 0.0, 1.0)), np.array(down), math.radians(5.0))
+    problem = problem_of(PANDA, 75052, cone)
+    run = Run(start=problem.start, cone_angle=cone.angle, cone_direction=down)
+    scene, target = Scene.of(problem.obstacles), tip(PANDA, problem.goal)
+    assert run.to(target, 10.0, scene).state is TargetState.REACHED
+    spare = np.minimum(run.q - PANDA.position_min, PANDA.position_max - run.q)
+    assert spare.min() < 0.011, 'no joint is at its limit: test another problem'
     run.assert_within_limits()
 
 

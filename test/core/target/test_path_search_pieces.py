@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from itertools import pairwise
+import math
 
 from conftest import examples, make_panda, PANDA_READY
-from hypothesis import assume, given, settings, strategies as st
+from hypothesis import assume, example, given, settings, strategies as st
 import numpy as np
 import pytest
 from target_run import DT, PANDA as ROBOT, Run, tip
 from test_free_space import crowd, space_among
 
+from benchmark.target_problems import problem_of
 from redundant_planner.core.constants import limits_of
 from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.se3 import stacked
 from redundant_planner.core.target import free_goals
 from redundant_planner.core.target.curve_search import CurveSearch, OVERLAP
@@ -56,8 +59,8 @@ def dense_room(space, one, other):
     return space.rooms(np.linspace(one, other, 200)).min()
 
 
-def grown(space, start, goals, seed, piece=100_000):
-    """Trees after they have met, in pieces of so much work."""
+def grown(space, start, goals, seed, piece=100_000, longest=0.8):
+    """Trees after they have met, in pieces of so much work, with branches as long at most."""
     trees = new_trees((start.q[None], start.room[None]),
                       tuple(np.array(part) for part in zip(*goals)))
     motion = new_motion(7, len(start.room), 6.0)
@@ -66,7 +69,7 @@ def grown(space, start, goals, seed, piece=100_000):
     ended, pieces = None, 0
     while ended in (None, GROWING, TOO_LARGE) and trees is not None:
         ended, work = grow(
-            trees, motion, aims, space.asked(0.002), space.joints.scaling, 0.8,
+            trees, motion, aims, space.asked(0.002), space.joints.scaling, longest,
             space.joints.position_min, space.joints.position_max, space.reach, piece,
             space.robot.chain, space.around)
         pieces += 1
@@ -125,6 +128,28 @@ def test_an_edge_is_cut_off_with_all_that_hangs_on_it_and_trees_grow_on(seed):
                     (after[tree][parent], after[tree][i]),
                     way[edge:edge + 2] if tree == 0 else way[edge:edge + 2][::-1]))
                 assert np.linalg.norm(after[tree][i] - after[tree][parent]) <= 0.8 + 1e-9
+
+
+@settings(max_examples=examples(10), deadline=None)
+@given(SEEDS)
+@example(73084)
+def test_a_tree_in_a_cone_has_no_posture_twice(seed):
+    # What leads a branch into the cone may lead it back to its root.
+    down = (0.0, 0.0, -1.0)
+    cone = Cone(np.array((0.0, 0.0, 1.0)), np.array(down), math.radians(5.0))
+    problem = problem_of(PANDA, seed, cone)
+    space = space_among(problem.obstacles, cone_angle=cone.angle, cone_direction=down)
+    start, random = space.begin_at(problem.start), np.random.default_rng(seed)
+    goals = free_goals.FreeGoals(space, start.q, tip(PANDA, problem.goal), random)
+    for _ in goals.look():
+        pass
+    assume(goals.places)
+    trees, ended, _ = grown(space, start, goals.places, seed, longest=0.2)
+    assert ended != TOO_LARGE
+    for tree in range(2):
+        count = trees.numbers[tree]
+        grew = trees.postures[tree, :count][trees.parents[tree, :count] >= 0]
+        assert len(np.unique(grew.round(6), axis=0)) == len(grew)
 
 
 def test_trees_grow_alike_in_small_pieces_and_large_ones():
