@@ -4,7 +4,9 @@
 
 Planner and fake hardware run as processes of their own; this process plays the operator and the
 camera. The period is that of joint_command's stamps, the latency the time from publishing a
-cmd_vel, after standstill, to the stamp of the first joint_command that moves.
+cmd_vel, after standstill, to the stamp of the first joint_command that moves. With --targets the
+operator sends poses to go to by a free way: the planner thinks in most ticks, and the latency has
+the time that it thinks before it sets off.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import subprocess
 import sys
 import time
 
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import PoseStamped, Twist
 import numpy as np
 import numpy.typing as npt
 import rclpy
@@ -43,14 +45,17 @@ from redundant_planner.io.resources import panda_urdf, share_directory
 from redundant_planner.io.robot_files import load_robot
 from redundant_planner.nodes.child_processes import cpu_seconds, Processes
 from redundant_planner.nodes.messages import markers_of, twist_to_message
+from redundant_planner.nodes.pose_messages import pose_to_message
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
 
 Array = npt.NDArray[np.float64]
 
 _CAMERA_RATE = 30.0
 _OPERATOR_RATE = 50.0
-# The operator moves and rests in turn, for as long each [s].
-_TURN = 0.4
+# The operator moves and rests in turn, for as long each, and sends a target as often [s].
+_TURN, _TARGET_PERIOD = 0.4, 3.0
+# Targets lie so far to either side of the start posture: its first joint [rad].
+_ASIDE = 1.0
 _FRAMES = 60
 _runs = itertools.count(os.getpid())
 _STARTS = {
@@ -87,8 +92,10 @@ def obstacle_messages(robot: Robot, start: Array, count: int, seed: int = 0) -> 
 class Operator:
     """Sends twists and obstacles by the clock, and notes what comes back and when."""
 
-    def __init__(self, context: Context, frames: list[bytes], twist: Array) -> None:
-        """Prepare to send a twist (6,) to and fro, and obstacle frames one after another."""
+    def __init__(
+        self, context: Context, frames: list[bytes], twist: Array, targets: list[PoseStamped],
+    ) -> None:
+        """Prepare to send obstacle frames, and targets, or a twist (6,) to and fro without any."""
         self.node = Node('operator', context=context, enable_rosout=False)
         self.executor = best_executor(context)
         self.executor.add_node(self.node)
@@ -98,6 +105,8 @@ class Operator:
         self._go = twist_to_message(twist), twist_to_message(-twist)
         self._rest = Twist()
         self._asked: float | None = None
+        self._targets = itertools.cycle(targets) if targets else None
+        self._target = self.node.create_publisher(PoseStamped, 'target_pose', 10)
         self._twist = self.node.create_publisher(Twist, 'cmd_vel', 10)
         self._obstacles = self.node.create_publisher(MarkerArray, 'obstacles', 10)
         self.node.create_subscription(
@@ -123,10 +132,14 @@ class Operator:
     def drive(self, seconds: float) -> None:
         """Send for a while."""
         begin = time.monotonic()
-        twists = frames = 0
+        twists = frames = targets = 0
         moving = False
         while (elapsed := time.monotonic() - begin) < seconds:
-            if elapsed >= twists / _OPERATOR_RATE:
+            if self._targets is not None and elapsed >= targets * _TARGET_PERIOD:
+                self._asked = time.time()
+                self._target.publish(next(self._targets))
+                targets += 1
+            if self._targets is None and elapsed >= twists / _OPERATOR_RATE:
                 turn = int(elapsed / _TURN)
                 go = turn % 2 == 1
                 if go and not moving:
@@ -137,13 +150,15 @@ class Operator:
             if self._frames and elapsed >= frames / _CAMERA_RATE:
                 self._obstacles.publish(self._frames[frames % len(self._frames)])
                 frames += 1
-            due = min(twists / _OPERATOR_RATE, frames / _CAMERA_RATE if self._frames else np.inf)
+            due = min(twists / _OPERATOR_RATE if self._targets is None else
+                      targets * _TARGET_PERIOD,
+                      frames / _CAMERA_RATE if self._frames else np.inf)
             self.executor.spin_once(timeout_sec=max(begin + due - time.monotonic(), 0.0))
 
 
 def measure(
     *, robot: str, urdf: str, rate: int, obstacles: int, seconds: float, method: str, busy: bool,
-    voxels: bool = False,
+    voxels: bool = False, targets: bool = False,
 ) -> dict[str, float]:
     """Run the loop once, the obstacles balls or voxels; keys as in the JSON."""
     file, start = share_directory() / 'config' / 'robots' / f'{robot}.yaml', _STARTS[robot]
@@ -157,7 +172,11 @@ def measure(
     bare = bare_period_p99(rate)
     camera = voxel_messages if voxels else obstacle_messages
     frames = camera(arm, start, obstacles) if obstacles else []
-    operator = Operator(context, frames, np.array([0.0, 0.05, 0.03, 0.0, 0.0, 0.0]))
+    goals = [arm.kinematics(start + side * _ASIDE * np.eye(arm.n)[0]).tips.first
+             for side in (1.0, -1.0)] if targets else []
+    operator = Operator(
+        context, frames, np.array([0.0, 0.05, 0.03, 0.0, 0.0, 0.0]),
+        [pose_to_message(goal, arm.base_frame) for goal in goals])
     neighbour = subprocess.Popen([sys.executable, '-c', 'while True: pass']) if busy else None
     try:
         with Processes(domain) as processes:
@@ -223,6 +242,8 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--obstacles', type=int, nargs='+', default=[10], metavar='COUNT')
     parser.add_argument('--voxels', action='store_true',
                         help='the obstacles are voxels at rest, in one CUBE_LIST')
+    parser.add_argument('--targets', action='store_true',
+                        help='the operator sends target_pose, not cmd_vel')
     parser.add_argument('--method', default='dynamic_factor')
     parser.add_argument('--seconds', type=float, default=60.0)
     parser.add_argument('--busy', action='store_true',
@@ -236,7 +257,7 @@ def main(args: list[str] | None = None) -> int:
             for busy in ((False, True) if options.busy else (False,))]
     rows = [measure(robot=options.robot, urdf=urdf, rate=rate, obstacles=count,
                     seconds=options.seconds, method=options.method, busy=busy,
-                    voxels=options.voxels)
+                    voxels=options.voxels, targets=options.targets)
             for rate, count, busy in track(runs, description='loops')]
     table = Table(title=f'{options.robot}, {options.method}, {options.seconds:g} s each')
     for name in rows[0]:

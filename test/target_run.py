@@ -31,13 +31,13 @@ def moved(pose, displacement):
 
 
 class Run:
-    """A closed loop with an arm that follows at once."""
+    """A closed loop with an arm that follows at once; the planner may work ahead of ticks."""
 
-    def __init__(self, robot=PANDA, start=PANDA_READY, **parameters):
+    def __init__(self, robot=PANDA, start=PANDA_READY, *, ahead=False, **parameters):
         self.planner = Planner(robot, PlannerParameters(**parameters))
         self.planner.reset()
         self.q = np.array(start)
-        self.positions, self.results = [self.q], []
+        self.positions, self.results, self.ahead = [self.q], [], ahead
 
     def to(self, target, seconds, scene=EMPTY):
         """Go to a target for as long as that or until at rest there.
@@ -53,6 +53,8 @@ class Run:
             self.q = self.q + DT * result.dq
             self.positions.append(self.q)
             self.results.append(result)
+            if self.ahead:
+                self.planner.prepare(around)
             if (not callable(target) and result.progress.state is TargetState.REACHED
                     and np.abs(result.dq).max() < AT_REST):
                 break

@@ -105,16 +105,16 @@ class Aiming:
         return self._look_ahead.guided
 
     def catch_up(self, *, chose: bool) -> bool:
-        """Improve the joint paths ahead, where that is due.
+        """Improve the joint paths ahead, and think about a free way, where that is due.
 
         Args:
             chose: whether obstacles have been chosen anew.
 
         Returns:
-            Whether it improved one.
+            Whether it did one of these.
         """
-        looked_ahead = self._look_ahead.catch_up(chose)
-        return self._evasive.catch_up() or looked_ahead
+        looked_ahead, thought = self._look_ahead.catch_up(chose), self._way.catch_up()
+        return self._evasive.catch_up() or looked_ahead or thought
 
     def aim(
         self, start: Start, asked: Asked, around: Surroundings, watch: ObstacleWatch,

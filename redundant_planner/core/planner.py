@@ -233,11 +233,11 @@ class Planner:
     def prepare(self, scene: Scene | Sequence[Obstacle]) -> bool:
         """Do a part of the next `step` ahead of it, where there is time for that.
 
-        It chooses from many obstacles, and improves the joint paths ahead. The next step becomes
-        shorter by that, and nothing else changes.
+        It chooses from many obstacles, improves the joint paths ahead, and thinks about a free
+        way. The next step becomes shorter by that, and nothing else changes.
 
         Returns:
-            Whether it improved a path, which takes longer than most ticks.
+            Whether it did one of the last two, which take longer than most ticks.
         """
         return self._aiming.catch_up(
             chose=self._watch.prepare(self._scene_of(scene), self._last.dq))

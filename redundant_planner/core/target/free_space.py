@@ -103,7 +103,8 @@ class FreeSpace:
             obstacles, constants.radii, constants.self_pairs, constants.self_supports,
             constants.cone, in_cone, np.where(self.reach.any(axis=1), 0.0, np.inf))
         self.piece = _PIECE
-        self._posture = usual_work(self.around, robot.n)  # what one costs, about
+        # What a posture costs, about: at first, and as measured.
+        self._usual = self._posture = usual_work(self.around, robot.n)
 
     def spend(self, work: int) -> None:
         """Note work that was done [ns]."""
@@ -182,6 +183,7 @@ class FreeSpace:
         Links found closer to each other than their margin may stay so, only not get closer: that
         counts as no room from here on. So may what is found outside a barrier of the user's.
         """
+        self._posture = self._usual  # an earlier search leaves nothing to this one
         forgiven = self.around.forgiven
         forgiven[np.isfinite(forgiven)] = 0.0
         self._forgiven_rules[:] = 0.0

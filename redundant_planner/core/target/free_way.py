@@ -135,6 +135,7 @@ class FreeWay:
         self._target: Goal | Poses | None = None
         self._way: JointWay | None = None
         self._finder: CurveSearch | None = None
+        self._put_off: Callable[[], None] | None = None  # see `catch_up`
         self._points = np.empty((0, self._robot.n))  # control points of the way
         self._since = 0  # the first of them that the finder knows as its curve's
         self._rest: int | None = None  # the first of those that shall become better
@@ -165,6 +166,7 @@ class FreeWay:
             space: returns where the arm may be now, the same object while nothing changes.
             stuck: whether the tip is stuck on the line.
         """
+        self.catch_up()
         if self._is_another(target):
             self.reset()
             self._target = target
@@ -187,6 +189,19 @@ class FreeWay:
             off = np.zeros_like(off)
         back = self._gain * off
         return JointMotion(velocity, np.clip(back, -_FEEDBACK_SPEED, _FEEDBACK_SPEED))
+
+    def catch_up(self) -> bool:
+        """Do what the last tick has put off, as its command does not depend on it.
+
+        Nothing depends on when it is done, as long as that is before anything else.
+
+        Returns:
+            Whether there was something to do.
+        """
+        put_off, self._put_off = self._put_off, None
+        if put_off is not None:
+            put_off()
+        return put_off is not None
 
     def _arrive(self, start: Start, space: Callable[[], FreeSpace]) -> None:
         """Do what is next where a way ends."""
@@ -264,10 +279,24 @@ class FreeWay:
         """Begin a search."""
         assert self._target is not None
         self._space, self._look_age = space, 0.0
-        self._finder = CurveSearch(
-            space, self._stop, self._target, self._scaling, gives_way=self._gives_way,
-            seed=self._searches)
+        stop, target, seed = self._stop, self._target, self._searches
         self._searches += 1
+
+        def begin() -> None:
+            self._finder = CurveSearch(
+                space, stop, target, self._scaling, gives_way=self._gives_way, seed=seed)
+
+        self._put_off = begin
+
+    def _think_on(self, finder: CurveSearch, dt: float, *, any_way: bool = False) -> None:
+        """Put off what a tick may think."""
+        work = self._work(dt)
+
+        def think() -> None:
+            finder.think(work, any_way=any_way)
+            self.out_of_reach = finder.search.goals.out_of_reach
+
+        self._put_off = think
 
     def _work(self, dt: float) -> int:
         """How much a tick may think [ns]."""
@@ -294,8 +323,7 @@ class FreeWay:
             return
         polygon = finder.found
         if polygon is None:
-            finder.think(self._work(start.dt), any_way=self._age >= _LATE / self._searches)
-            self.out_of_reach = search.goals.out_of_reach
+            self._think_on(finder, start.dt, any_way=self._age >= _LATE / self._searches)
         else:  # this tick has not worked yet
             if self._is_blocked(polygon, space()):
                 self._think(start, space())
@@ -328,8 +356,9 @@ class FreeWay:
         elif way.parameter > self._rest - OVERLAP:
             self._rest = None  # too late for this one
         elif finder.found is None:
-            finder.think(self._work(start.dt))
-            self._improves = finder.found is not None or finder.search.rounds < _MOST_ROUNDS
+            self._improves = finder.search.rounds < _MOST_ROUNDS
+            if self._improves:
+                self._think_on(finder, start.dt)
         else:
             points, self._since = np.vstack((self._points[:self._rest], finder.found)), self._rest
             better = JointWay(

@@ -80,7 +80,7 @@ class JointWay:
     @property
     def posture(self) -> Array:
         """Where the arm should be now (n,)."""
-        return self._at(self.left)
+        return self._at(self.left)[0]
 
     @property
     def seconds(self) -> float:
@@ -106,11 +106,11 @@ class JointWay:
     def velocity(self, dt: float) -> tuple[Array, Array]:
         """Return where the arm should be, and the velocity (n,) for the next tick, (n,) each."""
         if self.over:
-            here = self._at(0.0)
+            here, = self._at(0.0)
             self._wanted = 0.0
             return here, np.zeros_like(here)
         self._wanted = self._pace.share_at(self._pace.end - self.left, self.share, dt)
-        here, there = self._at(self.left), self._at(self.left - self._wanted * dt)
+        here, there = self._at(self.left, self.left - self._wanted * dt)
         return here, (there - here) / dt
 
     def went_on(self, followed: float, residual: float, dt: float) -> None:
@@ -118,8 +118,9 @@ class JointWay:
         self.share = min(max(followed * self._wanted + residual * self.share, 0.0), 1.0)
         self.left = max(self.left - self.share * dt, 0.0)
 
-    def _at(self, left: float) -> Array:
-        return self._curve.at(np.array([(self._pace.end - left) * self._spans_per_second]))[0]
+    def _at(self, *left: float) -> Array:
+        """Return the postures (k, n) with so much left."""
+        return self._curve.at((self._pace.end - np.array(left)) * self._spans_per_second)
 
 
 def _least_times(robot: Robot, limits: Limits, full_speed: Array, nodes: Array) -> Array:

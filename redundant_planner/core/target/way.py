@@ -232,6 +232,10 @@ class Way:
             return Aim(*chunks.twist(start), None)
         return self._by(joints, start)
 
+    def catch_up(self) -> bool:
+        """Think about a free way, see `FreeWay.catch_up`."""
+        return self._free.catch_up()
+
     @property
     def is_along_chunk(self) -> bool:
         """Whether a chunk is the target, or that of a tip."""

@@ -189,9 +189,14 @@ def test_a_twist_takes_over_in_the_middle_of_the_way():
     run.assert_within_limits()
 
 
-def test_the_same_inputs_give_the_same_motion():
-    runs = [Run(start=LEFT), Run(start=LEFT)]
-    scene = Scene.of([WALL])
+@pytest.mark.parametrize('moves', [False, True], ids=['a wall', 'and a ball'])
+def test_the_same_inputs_give_the_same_motion_whether_it_thinks_ahead_of_ticks_or_in_them(moves):
+    ball = Obstacle('ball', (0.4, 0.9, 0.5), (0.06, 0.06, 0.06), velocity=(0.0, -0.2, 0.0))
+    first, last = tip(PANDA, PANDA_READY), tip(PANDA, RIGHT)
+    runs = [Run(start=LEFT), Run(start=LEFT, ahead=True)]
     for run in runs:
-        run.to(tip(PANDA, RIGHT), 15.0, scene)
+        # It changes its mind while it thinks, and while it improves its way.
+        run.to(lambda t: last if t < 0.02 or t > 0.3 else first, 4.0, lambda t: Scene.of(
+            [WALL, ball.after(t)] if moves else [WALL]))
+    assert TargetState.THINKING in states(runs[0]) and TargetState.MOVING in states(runs[0])
     np.testing.assert_array_equal(runs[0].positions, runs[1].positions)
