@@ -51,6 +51,16 @@ def test_an_arm_that_cannot_go_on_is_at_rest(name, number, way, variant):
     assert end.clearance > -1e-6
 
 
+# With all of the braking there is, joints would end their ways one after the other.
+@pytest.mark.parametrize('name, way, angle', [
+    ('ur5_robot', '+wy', 3.0), ('baxter', '+wy', 2.9), ('baxter', '-wz', 2.1)])
+def test_a_slide_that_goes_on_is_smooth(name, way, angle):
+    end = end_of(name, 0, way, 'slide')
+    assert not end.stopped and end.tip_angle > angle
+    assert end.reversals <= 7
+    assert end.violation == 0.0
+
+
 def test_what_counts_of_arms_that_were_stopped_and_of_others():
     rest = Rest(True, 3, 1e-4, 1e-4, 0.01, 0.0, 0.02, '')
     creeping = replace(rest, travel=0.1, clearance=0.01)

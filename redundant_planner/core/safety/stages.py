@@ -148,9 +148,11 @@ _NO_SPARE: Array = np.empty(0)
 # An acceleration that limits nothing [rad/s², m/s²].
 _AT_ONCE = 1e9
 # The tip comes to slide along something within about so long [s]. Which way that is turns with
-# each tick's gradients, and these with the motion: at once, the arm would shake. It speeds up with
-# that share of its acceleration limits, so that it need not swing past the place where it ends.
-_TURNING_ASIDE, _SPEEDING_UP = 0.05, 0.25
+# each tick's gradients, and these with the motion: at once, the arm would shake.
+_TURNING_ASIDE = 0.05
+# A slide ends by braking with this share of the acceleration limits. With all of them joints would
+# brake one after the other, each of them all joints, as its turn comes.
+_GENTLE = 0.125
 # How many times dearer joint motion is where the tip slides. With the path's price, 1e4, that is
 # 0.05² of the tip's squared deviation [m²]: beside a singularity joints would race for little.
 _SLIDING_COST = 25.0
@@ -230,7 +232,9 @@ def safe_velocity(
                 found is not None and (
                     found.scales[path_shares].min() >= 1.0
                     or not (slides or len(found.pairs)))):
-            slid = _slid(problem, request, limits, longer, dt, _lengths(problem, angular))
+            far = longer / _GENTLE
+            slid = _slid(problem, request, limits, far, dt, _lengths(problem, angular),
+                         barrier_bounds(barriers, gain, far, dt)[:rows])
             if slid is not None:
                 return slid
         if found is not None:
@@ -267,19 +271,19 @@ def _lengths(problem: StageProblem, angular: Flags | None) -> Array:
 
 def _slid(
     problem: StageProblem, request: Request, limits: Limits, stop: float, dt: float,
-    lengths: Array,
+    lengths: Array, bounds: Array,
 ) -> Filtered | None:
     """Return a velocity that turns aside from what is in the way, None where there is none.
 
     That is towards the velocity that comes nearest to the twist within all that holds in the long
-    run. Joints go there in proportion, so that the arm neither swings past what it slides to nor
-    turns on its way.
+    run. Joints go there in proportion, so that the arm does not turn on its way.
 
     Args:
         problem: of the stage in which the speed alone gives way.
         request, limits, dt: see `safe_velocity`.
-        stop: stopping time T that the next velocity may have [s].
+        stop: stopping time T in which the arm is to be able to end the slide [s].
         lengths: (m,) how much each axis of the twist counts.
+        bounds: (b,) of the barriers, for that time.
     """
     previous = request.previous
     lower, upper, _ = bounds_of_velocity(
@@ -289,17 +293,14 @@ def _slid(
         path_gives_way=True, whole=True, jacobian=lengths[:, None] * problem.jacobian,
         twist=lengths * problem.twist, turning=lengths * problem.turning)
     then, _ = solve(slide._replace(
-        desired=request.aside, weights=_SLIDING_COST * problem.weights, lower=lower, upper=upper))
+        desired=request.aside, weights=_SLIDING_COST * problem.weights, lower=lower, upper=upper,
+        bounds=bounds))
     if then is None:
         return None
     change = then.dq - previous
     step = limits.acceleration_max * dt
-    # What turns back brakes at once: it would else go to and fro about the place where it ends.
-    turns_back = then.dq @ previous < 0.0
-    if not turns_back and then.dq @ then.dq > previous @ previous:
-        step *= _SPEEDING_UP
     next_one = previous + change * min(
-        1.0 if turns_back else dt / (dt + _TURNING_ASIDE),
+        dt / (dt + _TURNING_ASIDE),
         float((step / np.maximum(np.abs(change), TOLERANCE)).min()))
     found, _ = solve(slide._replace(
         desired=next_one, twist=lengths * (request.jacobian @ next_one + request.turning)))
