@@ -219,7 +219,8 @@ class FreeWay:
         if self._way is None:
             return
         self._way.went_on(followed, residual, dt)
-        self._patience.note(self._way.left + self._off / _FEEDBACK_SPEED, dt)
+        to_the_end = self._off / _FEEDBACK_SPEED if self._way.over else 0.0
+        self._patience.note(self._way.left + to_the_end, dt)
 
     @property
     def _may_go_straight(self) -> bool:
