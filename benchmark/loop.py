@@ -5,8 +5,8 @@
 Planner and fake hardware run as processes of their own; this process plays the operator and the
 camera. The period is that of joint_command's stamps, the latency the time from publishing a
 cmd_vel, after standstill, to the stamp of the first joint_command that moves. With --targets the
-operator sends poses to go to by a free way: the planner thinks in most ticks, and the latency has
-the time that it thinks before it sets off.
+operator sends poses to go to by a free way, whether or not the arm stands: the latency says
+little then.
 """
 
 from __future__ import annotations
