@@ -150,8 +150,8 @@ _AT_ONCE = 1e9
 # The tip comes to slide along something within about so long [s]. Which way that is turns with
 # each tick's gradients, and these with the motion: at once, the arm would shake.
 _TURNING_ASIDE = 0.05
-# A slide ends by braking with this share of the acceleration limits. With all of them joints would
-# brake one after the other, each of them all joints, as its turn comes.
+# What a slide aims at could be ended with this share of the acceleration limits. With all of it
+# each joint that nears its limit would make all joints brake, one such joint after the other.
 _GENTLE = 0.125
 # How many times dearer joint motion is where the tip slides. With the path's price, 1e4, that is
 # 0.05² of the tip's squared deviation [m²]: beside a singularity joints would race for little.
@@ -283,7 +283,7 @@ def _slid(
         request, limits, dt: see `safe_velocity`.
         stop: stopping time T in which the arm is to be able to end the slide [s].
         lengths: (m,) how much each axis of the twist counts.
-        bounds: (b,) of the barriers, for that time.
+        bounds: (b,) of the barriers, for that time. What is commanded keeps those of the problem.
     """
     previous = request.previous
     lower, upper, _ = bounds_of_velocity(

@@ -198,10 +198,11 @@ class FreeWay:
         Returns:
             Whether there was something to do.
         """
-        put_off, self._put_off = self._put_off, None
-        if put_off is not None:
-            put_off()
-        return put_off is not None
+        if self._put_off is None:
+            return False
+        self._put_off()  # where it raises, the next tick tries it again, and fails
+        self._put_off = None
+        return True
 
     def _arrive(self, start: Start, space: Callable[[], FreeSpace]) -> None:
         """Do what is next where a way ends."""
@@ -219,8 +220,7 @@ class FreeWay:
         if self._way is None:
             return
         self._way.went_on(followed, residual, dt)
-        to_the_end = self._off / _FEEDBACK_SPEED if self._way.over else 0.0
-        self._patience.note(self._way.left + to_the_end, dt)
+        self._patience.note(self._way.left, dt)
 
     @property
     def _may_go_straight(self) -> bool:
@@ -325,7 +325,7 @@ class FreeWay:
         polygon = finder.found
         if polygon is None:
             self._think_on(finder, start.dt, any_way=self._age >= _LATE / self._searches)
-        else:  # this tick has not worked yet
+        else:
             if self._is_blocked(polygon, space()):
                 self._think(start, space())
                 return

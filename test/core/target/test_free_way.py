@@ -17,6 +17,7 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.model import Robot
+from redundant_planner.core.target.curve_search import CurveSearch
 from redundant_planner.core.target.progress import TargetState
 
 CAPSULES = capsules_of(PANDA)
@@ -200,3 +201,17 @@ def test_the_same_inputs_give_the_same_motion_whether_it_thinks_ahead_of_ticks_o
             [WALL, ball.after(t)] if moves else [WALL]))
     assert TargetState.THINKING in states(runs[0]) and TargetState.MOVING in states(runs[0])
     np.testing.assert_array_equal(runs[0].positions, runs[1].positions)
+
+
+def test_a_search_that_fails_ahead_of_a_tick_fails_the_tick(monkeypatch):
+    run, scene = Run(start=LEFT), Scene.of([WALL])
+    run.to(lambda _: tip(PANDA, RIGHT), 2 * DT, scene)
+
+    def fails(*_args, **_kwargs):
+        raise ArithmeticError('for a test')
+
+    monkeypatch.setattr(CurveSearch, 'think', fails)
+    for attempt in (lambda: run.planner.prepare(scene),
+                    lambda: run.to(tip(PANDA, RIGHT), DT, scene)):
+        with pytest.raises(ArithmeticError):
+            attempt()
