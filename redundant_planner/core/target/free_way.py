@@ -274,10 +274,10 @@ class FreeWay:
         self.stretch, self._age, self._stop = Stretch.THINKING, 0.0, rest
         self._aside, self._improves = None, False
         self._until_news = _NEWS_PERIOD
-        self._begin(space)
+        self._put_off_search(space)
 
-    def _begin(self, space: FreeSpace) -> None:
-        """Begin a search."""
+    def _put_off_search(self, space: FreeSpace) -> None:
+        """Put off the beginning of a search; until then `_finder` is the one before."""
         assert self._target is not None
         self._space, self._look_age = space, 0.0
         stop, target, seed = self._stop, self._target, self._searches
@@ -289,7 +289,7 @@ class FreeWay:
 
         self._put_off = begin
 
-    def _think_on(self, finder: CurveSearch, dt: float, *, any_way: bool = False) -> None:
+    def _put_off_thinking(self, finder: CurveSearch, dt: float, *, any_way: bool = False) -> None:
         """Put off what a tick may think."""
         work = self._work(dt)
 
@@ -319,12 +319,12 @@ class FreeWay:
             return
         if self._look_age > self._until_news and search.way is None and (
                 space() is not finder.space):
-            self._begin(space())
+            self._put_off_search(space())
             self._until_news = min(2.0 * self._until_news, _LONGEST_NEWS_PERIOD)
             return
         polygon = finder.found
         if polygon is None:
-            self._think_on(finder, start.dt, any_way=self._age >= _LATE / self._searches)
+            self._put_off_thinking(finder, start.dt, any_way=self._age >= _LATE / self._searches)
         else:
             if self._is_blocked(polygon, space()):
                 self._think(start, space())
@@ -359,7 +359,7 @@ class FreeWay:
         elif finder.found is None:
             self._improves = finder.search.rounds < _MOST_ROUNDS
             if self._improves:
-                self._think_on(finder, start.dt)
+                self._put_off_thinking(finder, start.dt)
         else:
             points, self._since = np.vstack((self._points[:self._rest], finder.found)), self._rest
             better = JointWay(
