@@ -8,7 +8,9 @@ a method does not complete is then its own doing.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
@@ -131,6 +133,8 @@ def _random_twist(robot: Robot, random: np.random.Generator) -> Array:
 
 def _least_norm_path(robot: Robot, start: Array, twist: Array) -> Array | None:
     """Return the least-norm postures (k, n), None where limits or a singularity cut them off."""
+    if not _inside(robot, start):
+        return None
     dt = DURATION / (_SAMPLES - 1)
     q, path = start, [start]
     for i in range(_SAMPLES - 1):
@@ -141,9 +145,10 @@ def _least_norm_path(robot: Robot, start: Array, twist: Array) -> Array | None:
         dq = null_space.least_norm(
             parts, 1.0 / parts.singular_values, robot.task_rows(twist * share))
         q = q + dt * dq
+        if not _inside(robot, q):
+            return None
         path.append(q)
-    postures = np.array(path)
-    return postures if _inside(robot, postures) else None
+    return np.array(path)
 
 
 def _inside(robot: Robot, postures: Array) -> bool:
@@ -154,11 +159,14 @@ def _inside(robot: Robot, postures: Array) -> bool:
 def _way(robot: Robot, task: Task, random: np.random.Generator) -> Array | None:
     """Return the postures (k, n) of a motion bent aside, None where something cuts it off."""
     dt = DURATION / (_SAMPLES - 1)
-    poses = path_of_tips(robot, task, dt / _STEPS)[::_STEPS]
     aside = random.normal(size=robot.n)
     distance, duration = random.uniform(*_WAY_ASIDE), random.uniform(0.4, 1.0) * DURATION
     q, way = task.start, [task.start]
-    for i, pose in enumerate(poses[1:]):
+    # What rules out most ways comes first: of a body with two arms, a quarter of all postures.
+    if _self_clearance(robot, q[None]) <= _WAY_CLEARANCE:
+        return None
+    poses = islice(_poses_of_tips(robot, task, dt / _STEPS), _STEPS, None, _STEPS)
+    for i, pose in enumerate(poses):
         parts = null_space.decompose(robot.kinematics(q).jacobian)
         aside = null_space.project(parts, aside)
         aside /= np.linalg.norm(aside)
@@ -172,13 +180,14 @@ def _way(robot: Robot, task: Task, random: np.random.Generator) -> Array | None:
             error = poses_error(pose, arm.tips, robot.in_tool)
             q = q + null_space.least_norm(
                 parts, 1.0 / parts.singular_values, robot.task_rows(error))
+        if not _inside(robot, q):
+            return None
         way.append(q)
     postures = np.array(way)
     at_rest = np.zeros((1, robot.n))
     speeds = np.diff(postures, axis=0) / dt
     accelerations = np.diff(np.vstack((at_rest, speeds, at_rest)), axis=0) / dt
-    possible = (_inside(robot, postures)
-                and (np.abs(speeds) < _WAY_SPEED * robot.velocity_max).all()
+    possible = ((np.abs(speeds) < _WAY_SPEED * robot.velocity_max).all()
                 and (np.abs(accelerations) < _WAY_ACCELERATION * robot.acceleration_max).all()
                 and _self_clearance(robot, postures) > _WAY_CLEARANCE)
     return postures if possible else None
@@ -279,14 +288,16 @@ def _moving_obstacles(
 
 def path_of_tips(robot: Robot, task: Task, dt: float) -> list[Poses]:
     """Return where the tips are at every tick if the whole motion is followed at full speed."""
-    paths = []
-    for t, pose in enumerate(robot.kinematics(task.start).tips.each):
-        poses = [pose]
-        for i in range(round(DURATION / dt)):
-            twist = task.twist_at(i * dt)[6 * t:6 * t + 6]
-            poses.append(integrate(poses[-1], twist, dt, robot.in_tool))
-        paths.append(poses)
-    return [Poses.of(*poses) for poses in zip(*paths)]
+    return list(_poses_of_tips(robot, task, dt))
+
+
+def _poses_of_tips(robot: Robot, task: Task, dt: float) -> Iterator[Poses]:
+    tips = list(robot.kinematics(task.start).tips.each)
+    yield Poses.of(*tips)
+    for i in range(round(DURATION / dt)):
+        twists = task.twist_at(i * dt).reshape(-1, 6)
+        tips = [integrate(pose, twist, dt, robot.in_tool) for pose, twist in zip(tips, twists)]
+        yield Poses.of(*tips)
 
 
 def path_poses(robot: Robot, task: Task, dt: float) -> list[Pose]:
