@@ -162,7 +162,7 @@ def _way(robot: Robot, task: Task, random: np.random.Generator) -> Array | None:
     aside = random.normal(size=robot.n)
     distance, duration = random.uniform(*_WAY_ASIDE), random.uniform(0.4, 1.0) * DURATION
     q, way = task.start, [task.start]
-    # What rules out most ways comes first: of a body with two arms, a quarter of all postures.
+    # Looked at before the way costs anything: it rules out a quarter of a TIAGo's postures.
     if _self_clearance(robot, q[None]) <= _WAY_CLEARANCE:
         return None
     poses = islice(_poses_of_tips(robot, task, dt / _STEPS), _STEPS, None, _STEPS)
