@@ -43,11 +43,11 @@ from redundant_planner.core.obstacles.clearance import is_contact
 from redundant_planner.core.obstacles.clearance_gradients import clearance_gradient
 from redundant_planner.core.obstacles.self_collision import distance_gradients
 from redundant_planner.core.robot.cone import cone_room
-from redundant_planner.core.robot.kinematics import Chain, Links
+from redundant_planner.core.robot.kinematics import Links
 from redundant_planner.core.target.free_space import FreeSpace, Place
 from redundant_planner.core.target.joint_curve import evenly, lengths_along
 from redundant_planner.core.target.straight_motion import (
-    Around,
+    Arena,
     begin_motion,
     BLOCKED,
     go_on_with,
@@ -139,7 +139,7 @@ def _row_for(band: Band, node: int, spare: float) -> int:
 
 
 @entry
-def look_at_nodes(band: Band, first: int, last: int, chain: Chain, around: Around) -> int:
+def look_at_nodes(band: Band, first: int, last: int, arena: Arena) -> int:
     """Linearise the rooms near some nodes of a band, and have its step begin anew.
 
     Returns how much work it was [ns].
@@ -147,12 +147,12 @@ def look_at_nodes(band: Band, first: int, last: int, chain: Chain, around: Aroun
     Args:
         band: which is changed.
         first, last: which nodes, the last one not among them.
-        chain, around: the arm, and what is in its way.
+        arena: where it leads.
     """
-    scratch = new_scratch(band.ends[0], chain, around)
-    arm, obstacles, n = scratch.arm, around.obstacles, band.nodes.shape[1]
-    (links, count), pairs = obstacles.smallest.shape, len(around.links)
-    room, near = np.empty(len(around.forgiven)), np.empty(pairs, np.intp)
+    scratch, chain = new_scratch(arena), arena.chain
+    arm, obstacles, n = scratch.arm, arena.obstacles, band.nodes.shape[1]
+    (links, count), pairs = obstacles.smallest.shape, len(arena.links)
+    room, near = np.empty(len(arena.forgiven)), np.empty(pairs, np.intp)
     for node in range(first, min(last, len(band.nodes))):
         asked = band.asked[node]
         band.rows[node] = 0
@@ -160,7 +160,7 @@ def look_at_nodes(band: Band, first: int, last: int, chain: Chain, around: Aroun
         arm.q[:] = band.nodes[node]
         for k in range(len(asked)):
             scratch.enough[k] = asked[k] + _WITHIN
-        write_room(chain, around, scratch, room)
+        write_room(arena, scratch, room)
         moved = Links(arm.segment_start, arm.segment_end, arm.joint_screws, chain.supports,
                       chain.parents)
         for link in range(links):
@@ -182,14 +182,14 @@ def look_at_nodes(band: Band, first: int, last: int, chain: Chain, around: Aroun
                 near[found] = pair
                 found += 1
         slopes = distance_gradients(
-            scratch.points, near[:found], arm.joint_screws, around.supports)
+            scratch.points, near[:found], arm.joint_screws, arena.supports)
         for i in range(found):
             row = _row_for(band, node, room[links + near[i]] - asked[links + near[i]])
             if row >= 0:
                 band.gradients[node, row] = slopes[i]
-        for t in range(len(arm.tip_rotations) if around.in_cone else 0):
+        for t in range(len(arm.tip_rotations) if arena.in_cone else 0):
             left, slope = cone_room(
-                around.cone, arm.tip_rotations[t], arm.tip_jacobian[6 * t:6 * t + 6])
+                arena.joints.cone, arm.tip_rotations[t], arm.tip_jacobian[6 * t:6 * t + 6])
             row = _row_for(band, node, left - asked[links + pairs])
             if row >= 0:
                 band.gradients[node, row] = slope
@@ -262,8 +262,7 @@ class Look(NamedTuple):
 
 @entry
 def go_on_looking_at(
-    look: Look, motion: Motion, needed: Vector, reach: Matrix, most: int, chain: Chain,
-    around: Around,
+    look: Look, motion: Motion, needed: Vector, most: int, arena: Arena,
 ) -> int:
     """Look at a few more motions; return how much work it was [ns].
 
@@ -271,22 +270,21 @@ def go_on_looking_at(
         look: which is changed.
         motion: the one that is looked at.
         needed: (k,) room; where an end has less, a motion may have as little [m].
-        reach: (k, n) see `begin_motion`.
         most: how much work it may be, about.
-        chain, around: the arm, and what is in its way.
+        arena: where they lead.
     """
     blocked, at = look.blocked, look.at
-    scratch = new_scratch(look.postures[0], chain, around)
+    scratch = new_scratch(arena)
     while at[0] < len(blocked) and scratch.work[0] < most:
         i = at[0]
         if at[1] == 0 and (blocked[i] or not begin_motion(
                 motion, look.postures[i], look.rooms[i], look.postures[i + 1],
-                look.rooms[i + 1], needed, reach)):
+                look.rooms[i + 1], needed, arena)):
             blocked[i] = True
             at[0] = i + 1
             continue
         at[1] = 1
-        found = go_on_with(motion, most, chain, around, scratch)
+        found = go_on_with(motion, most, arena, scratch)
         if found == PENDING:
             break
         blocked[i] = found == BLOCKED
@@ -339,8 +337,7 @@ def _relaxed(space: FreeSpace, band: Band, steps: int) -> Generator[None, None, 
     (count, n), joints = band.nodes.shape, space.joints
     for _ in range(steps):
         for some in space.slices(count):
-            space.spend(look_at_nodes(
-                band, some.start, some.stop, space.robot.chain, space.around))
+            space.spend(look_at_nodes(band, some.start, some.stop, space.arena))
             yield
         for _ in range(_SOLUTIONS):
             changed = solve_step(band, joints.scaling)
@@ -379,7 +376,6 @@ def _blocked(
     motion = new_motion(
         postures.shape[1], len(needed), float(np.abs(np.diff(postures, axis=0)).max()))
     while look.at[0] < len(look.blocked):
-        space.spend(go_on_looking_at(
-            look, motion, needed, space.reach, space.piece, space.robot.chain, space.around))
+        space.spend(go_on_looking_at(look, motion, needed, space.piece, space.arena))
         yield
     return look.blocked

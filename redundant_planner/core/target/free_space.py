@@ -18,7 +18,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.own_barriers import OwnBarriers
 from redundant_planner.core.target.straight_motion import (
-    Around,
+    Arena,
     begin_looking,
     FREE,
     go_on_looking,
@@ -74,8 +74,7 @@ class FreeSpace:
     Attributes:
         robot: the arm.
         joints: how they are weighed and bounded.
-        around: what keeps its links from being anywhere.
-        reach: (k, n) how far a point of what has room may come for each rad or m of a joint.
+        arena: it and what keeps its links from being anywhere, for compiled functions.
         spent: the work done so far, counted and not timed, so that replays are exact: in what
             it takes on one machine [ns].
         piece: a piece of work at most, about, likewise; more than `COST_OF_CALL`.
@@ -98,13 +97,13 @@ class FreeSpace:
             screws = robot.kinematics(np.zeros(robot.n)).joint_screws
             reach.append(np.linalg.norm(screws[3:], axis=0)[None])
         reach.append(np.zeros((self._rules, robot.n)))
-        self.reach = np.vstack(reach)
-        self.around = Around(
-            obstacles, constants.radii, constants.self_pairs, constants.self_supports,
-            constants.cone, in_cone, np.where(self.reach.any(axis=1), 0.0, np.inf))
+        levers = np.vstack(reach)
+        self.arena = Arena(
+            robot.chain, joints, levers, obstacles, constants.radii, constants.self_pairs,
+            constants.self_supports, in_cone, np.where(levers.any(axis=1), 0.0, np.inf))
         self.piece = _PIECE
         # What a posture costs, about: at first, and as measured.
-        self._usual = self._posture = usual_work(self.around, robot.n)
+        self._usual = self._posture = usual_work(self.arena)
 
     def spend(self, work: int) -> None:
         """Note work that was done [ns]."""
@@ -121,7 +120,7 @@ class FreeSpace:
 
     def rooms(self, postures: Array) -> Array:
         """Return the room (N, k) at postures (N, n); infinite for links that cannot move."""
-        rooms, work = rooms_at(postures, self.robot.chain, self.around)
+        rooms, work = rooms_at(postures, self.arena)
         self.spend(work)
         if len(postures) > 1:
             self._posture = work // len(postures)
@@ -164,7 +163,7 @@ class FreeSpace:
     @property
     def narrow(self) -> bool:
         """Whether the tip has to stay in a cone: few postures do, and random ones do not."""
-        return self.around.in_cone
+        return self.arena.in_cone
 
     def asked(self, room: float) -> Array:
         """Return the room (k,) to ask of a way that shall have so much [m].
@@ -172,7 +171,7 @@ class FreeSpace:
         Pairs of links get less: two that are close by the arm's design would forbid most ways.
         """
         links, pairs = len(self._constants.lever_arm_bounds), len(self._constants.self_pairs)
-        asked = np.full(len(self.reach), room)
+        asked = np.full(len(self.arena.reach), room)
         asked[links:links + pairs] = min(room, _ROOM_OF_PAIRS)
         asked[len(asked) - self._rules:] = min(room, _ROOM_OF_RULES)
         return asked
@@ -184,7 +183,7 @@ class FreeSpace:
         counts as no room from here on. So may what is found outside a barrier of the user's.
         """
         self._posture = self._usual  # an earlier search leaves nothing to this one
-        forgiven = self.around.forgiven
+        forgiven = self.arena.forgiven
         forgiven[np.isfinite(forgiven)] = 0.0
         self._forgiven_rules[:] = 0.0
         room = self.rooms(q[None])[0]
@@ -223,7 +222,7 @@ class FreeSpace:
 
         Walls do not count.
         """
-        obstacles = self.around.obstacles
+        obstacles = self.arena.obstacles
         centers = obstacles.centers.T[obstacles.shapes != HALF_SPACE]
         if not len(centers):
             return np.zeros(len(postures))
@@ -250,10 +249,10 @@ class FreeSpace:
         """
         motion = memory or new_motion(
             len(one.q), len(needed), float(np.abs(other.q - one.q).max(initial=0.0)))
-        if not begin_looking(motion, one.q, one.room, other.q, other.room, needed, self.reach):
+        if not begin_looking(motion, one.q, one.room, other.q, other.room, needed, self.arena):
             return False
         while True:
-            state, work = go_on_looking(motion, self.piece, self.robot.chain, self.around)
+            state, work = go_on_looking(motion, self.piece, self.arena)
             self.spend(work)
             if state != PENDING:
                 return state == FREE and (yield from self.keeps_rules((one, other)))

@@ -279,9 +279,7 @@ class PathSearch:
                    _BRANCH if room == _ROOMS[0] else _BRANCH_IN_GAPS)
         while True:
             ended, work = grow(
-                trees, motion, towards, needed, space.joints.scaling, longest,
-                space.joints.position_min, space.joints.position_max, space.reach,
-                space.piece, space.robot.chain, space.around)
+                trees, motion, towards, needed, longest, space.piece, space.arena)
             space.spend(work)
             if ended == TOO_LARGE and (larger := enlarged(trees)) is not None:
                 trees = self._trees = larger
@@ -338,8 +336,7 @@ class PathSearch:
         over = False
         while not over:
             over, work = shorten(
-                shorter, motion, *goals, random, needed, space.joints.scaling, space.reach,
-                most_in_vain, space.piece, space.robot.chain, space.around)
+                shorter, motion, *goals, random, needed, most_in_vain, space.piece, space.arena)
             space.spend(work)
             yield
         count = shorter.numbers[COUNT]

@@ -17,9 +17,8 @@ from redundant_planner.core.kernels import (
     OutVector,
     Vector,
 )
-from redundant_planner.core.robot.kinematics import Chain
 from redundant_planner.core.target.straight_motion import (
-    Around,
+    Arena,
     begin_motion,
     FREE,
     go_on_with,
@@ -164,8 +163,7 @@ def _take(way: Shortening, scaling: Vector) -> bool:
 @entry
 def shorten(
     way: Shortening, motion: Motion, goals: Matrix, goal_rooms: Matrix, random: Matrix,
-    needed: Vector, scaling: Vector, reach: Matrix, most_in_vain: int, most: int, chain: Chain,
-    around: Around,
+    needed: Vector, most_in_vain: int, most: int, arena: Arena,
 ) -> tuple[bool, int]:
     """Make a way a little shorter; return whether that is over, and how much work it was.
 
@@ -175,16 +173,14 @@ def shorten(
         goals, goal_rooms: (g, n) and (g, k) other ends.
         random: (a, `NUMBERS`) from 0 to 1, for each attempt.
         needed: (k,) room of shortcuts; the ends of the way may have less.
-        scaling: (n,) of the joints' lengths, see `PathJoints`.
-        reach: (k, n) see `begin_motion`.
         most_in_vain: after so many attempts in vain it is over.
         most: how much work it may be, about [ns].
-        chain, around: the arm, and what is in its way.
+        arena: where it leads.
     """
-    state, scratch = way.numbers, new_scratch(way.ends[0], chain, around)
+    state, scratch, scaling = way.numbers, new_scratch(arena), arena.joints.scaling
     while scratch.work[0] < most:
         if state[_LOOKS] == 1:
-            found = go_on_with(motion, most, chain, around, scratch)
+            found = go_on_with(motion, most, arena, scratch)
             if found == PENDING:
                 break
             state[_LOOKS] = 0
@@ -210,9 +206,9 @@ def shorten(
                 way.end_rooms[1] = way.rooms[state[COUNT] - 1]
             elif roomy:
                 scratch.arm.q[:] = way.ends[end]
-                roomy = write_room(chain, around, scratch, way.end_rooms[end])
+                roomy = write_room(arena, scratch, way.end_rooms[end])
         scratch.least[:] = -np.inf
         if roomy and begin_motion(motion, way.ends[0], way.end_rooms[0], way.ends[1],
-                                  way.end_rooms[1], needed, reach):
+                                  way.end_rooms[1], needed, arena):
             state[_LOOKS] = 1
     return False, scratch.work[0]

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from redundant_planner.core.horizon.least_norm_path import PathJoints
 from redundant_planner.core.kernels import (
     entry,
     IndexPairs,
@@ -33,7 +34,6 @@ from redundant_planner.core.obstacles.clearance import (
 from redundant_planner.core.obstacles.inflation import InflatedObstacles
 from redundant_planner.core.obstacles.self_collision import write_link_distances
 from redundant_planner.core.obstacles.shapes import ELLIPSOID
-from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.kinematics import (
     Chain,
     fill,
@@ -62,24 +62,28 @@ _FINEST, _LONGEST = 0.02, 630.0
 PENDING, FREE, BLOCKED = range(3)
 
 
-class Around(NamedTuple):
-    """What keeps links from being anywhere.
+class Arena(NamedTuple):
+    """An arm, and what keeps its links from being anywhere.
 
     Attributes:
+        chain: the arm.
+        joints: how they are weighed and bounded.
+        reach: (k, n) how far a point of what has room may come for each rad or m of a joint.
         obstacles: for links with their margin.
         radii: (c,) with half the margin between links [m].
         links: (p, 2) which of them can collide.
         supports: (p, n) see `SelfPairs`.
-        cone: that the tip stays in.
-        in_cone: whether it has to.
+        in_cone: whether the tip has to stay in the cone of `joints`.
         forgiven: (k,) what is added to the room, infinite for links that cannot move.
     """
 
+    chain: Chain
+    joints: PathJoints
+    reach: Matrix
     obstacles: InflatedObstacles
     radii: Vector
     links: IndexPairs
     supports: Matrix
-    cone: Cone
     in_cone: bool
     forgiven: Vector
 
@@ -142,53 +146,55 @@ class Scratch(NamedTuple):
     work: Indices
 
 
-def usual_work(around: Around, n: int) -> int:
-    """Return how much work a posture of n joints is where a quarter of what is around is near."""
-    return (_COST_OF_JOINT * n + _COST_OF_LINKS * len(around.links)
-            + (_COST_OF_BALL + _COST_OF_DISTANCE // 4) * around.obstacles.smallest.size)
+def usual_work(arena: Arena) -> int:
+    """Return how much work a posture is where a quarter of the obstacles are near."""
+    return (_COST_OF_JOINT * arena.reach.shape[1] + _COST_OF_LINKS * len(arena.links)
+            + (_COST_OF_BALL + _COST_OF_DISTANCE // 4) * arena.obstacles.smallest.size)
 
 
 @kernel
-def new_scratch(q: Vector, chain: Chain, around: Around) -> Scratch:
+def new_scratch(arena: Arena) -> Scratch:
     """Return arrays for `write_room`."""
-    shape = around.obstacles.smallest.shape
+    chain, shape = arena.chain, arena.obstacles.smallest.shape
+    rooms, n = arena.reach.shape
     return Scratch(
         new_kinematics_compiled(
-            q, len(chain.rows), len(chain.tip_joints), len(chain.capsule_joint)),
-        new_places(len(q)),
+            np.empty(n), len(chain.rows), len(chain.tip_joints), len(chain.capsule_joint)),
+        new_places(n),
         Pairs(np.empty(shape), np.empty(shape), np.empty(shape)),
-        np.empty((len(around.links), 2, 3)), np.full(len(around.forgiven), _AMPLE),
-        np.full(len(around.forgiven), -np.inf), np.full(1, COST_OF_CALL, np.intp))
+        np.empty((len(arena.links), 2, 3)), np.full(rooms, _AMPLE), np.full(rooms, -np.inf),
+        np.full(1, COST_OF_CALL, np.intp))
 
 
 @kernel
-def write_room(chain: Chain, around: Around, scratch: Scratch, room: OutVector) -> bool:
+def write_room(arena: Arena, scratch: Scratch, room: OutVector) -> bool:
     """Write the room (k,) at the posture that is in the scratch's arm.
 
     What has more room to obstacles than `scratch.enough` may be given a bound from below. Where
     something has less than `scratch.least` False is returned, and the room is not complete.
     """
-    arm, pairs, obstacles, enough = scratch.arm, scratch.pairs, around.obstacles, scratch.enough
-    if around.in_cone:
+    arm, pairs, obstacles, enough = scratch.arm, scratch.pairs, arena.obstacles, scratch.enough
+    chain, cone = arena.chain, arena.joints.cone
+    if arena.in_cone:
         fill(chain, scratch.places, arm)
         scratch.work[0] += _COST_OF_TIPS
     else:
         place_joints(arm.q, chain, scratch.places, arm.joint_screws)
         fill_links(scratch.places, chain, arm.segment_start, arm.segment_end)
-    links, forgiven = len(chain.capsule_joint), around.forgiven
-    ends = links + len(around.links)
-    scratch.work[0] += _COST_OF_JOINT * len(arm.q) + _COST_OF_LINKS * len(around.links)
+    links, forgiven = len(chain.capsule_joint), arena.forgiven
+    ends = links + len(arena.links)
+    scratch.work[0] += _COST_OF_JOINT * len(arm.q) + _COST_OF_LINKS * len(arena.links)
     room[:] = np.inf
-    write_link_distances(arm.segment_start, arm.segment_end, around.radii, around.links,
+    write_link_distances(arm.segment_start, arm.segment_end, arena.radii, arena.links,
                          room[links:ends], scratch.points)
-    if around.in_cone:
+    if arena.in_cone:
         for t in range(len(arm.tip_rotations)):
             cosine, rotation = 0.0, arm.tip_rotations[t]
             for i in range(3):
                 for j in range(3):
-                    cosine += around.cone.direction[i] * rotation[i, j] * around.cone.axis[j]
+                    cosine += cone.direction[i] * rotation[i, j] * cone.axis[j]
             room[ends] = min(
-                room[ends], around.cone.angle - math.acos(min(max(cosine, -1.0), 1.0)))
+                room[ends], cone.angle - math.acos(min(max(cosine, -1.0), 1.0)))
     for k in range(links, len(room)):
         if room[k] + forgiven[k] < scratch.least[k]:
             return False
@@ -215,26 +221,20 @@ def write_room(chain: Chain, around: Around, scratch: Scratch, room: OutVector) 
 
 
 @entry
-def rooms_at(postures: Matrix, chain: Chain, around: Around) -> tuple[Matrix, int]:
-    """Return the room (N, k) of links at N postures (N, n), and how much work that was.
-
-    Args:
-        postures: where the joints are.
-        chain: the arm.
-        around: what is in its way.
-    """
-    rooms = np.empty((len(postures), len(around.forgiven)))
-    scratch = new_scratch(np.empty(postures.shape[1]), chain, around)
+def rooms_at(postures: Matrix, arena: Arena) -> tuple[Matrix, int]:
+    """Return the room (N, k) of links at N postures (N, n), and how much work that was."""
+    rooms = np.empty((len(postures), len(arena.forgiven)))
+    scratch = new_scratch(arena)
     for i in range(len(postures)):
         scratch.arm.q[:] = postures[i]
-        write_room(chain, around, scratch, rooms[i])
+        write_room(arena, scratch, rooms[i])
     return rooms, scratch.work[0]
 
 
 @kernel
 def begin_motion(
     motion: Motion, start: Vector, room: Vector, end: Vector, end_room: Vector, needed: Vector,
-    reach: Matrix,
+    arena: Arena,
 ) -> bool:
     """Begin to look at a motion; return whether there is memory for one as long.
 
@@ -243,7 +243,7 @@ def begin_motion(
         start, end: (n,) its ends.
         room, end_room: (k,) there.
         needed: (k,) room; where an end has less, the motion may have as little [m].
-        reach: (k, n) how far a point may come for each rad or m of a joint.
+        arena: where it leads.
     """
     size = 0.0
     for j in range(len(start)):
@@ -255,7 +255,7 @@ def begin_motion(
         motion.least[k] = min(needed[k], min(room[k], end_room[k]))
         motion.far[k] = 0.0
         for j in range(len(start)):
-            motion.far[k] += reach[k, j] * abs(motion.step[j])
+            motion.far[k] += arena.reach[k, j] * abs(motion.step[j])
     motion.at[0], motion.at[1] = 0.0, 1.0
     motion.rooms[0], motion.rooms[1] = room, end_room
     motion.pieces[0, 0], motion.pieces[0, 1] = 0, 1
@@ -264,15 +264,13 @@ def begin_motion(
 
 
 @kernel
-def go_on_with(
-    motion: Motion, most: int, chain: Chain, around: Around, scratch: Scratch,
-) -> int:
+def go_on_with(motion: Motion, most: int, arena: Arena, scratch: Scratch) -> int:
     """Go on halving a motion; return whether it is free, blocked, or still looked at.
 
     Args:
         motion: which is changed.
         most: no other posture is begun once `scratch.work` has reached this [ns].
-        chain, around: the arm, and what is in its way.
+        arena: where it leads.
         scratch: for numbers.
     """
     at, rooms, pieces, counts = motion.at, motion.rooms, motion.pieces, motion.counts
@@ -296,13 +294,13 @@ def go_on_with(
                 # More than that keeps either half free, and so much is known.
                 half = 0.5 * span * motion.far[k]
                 known = max(rooms[one, k], rooms[other, k]) - half
-                scratch.enough[k] = max(half, motion.least[k]) - around.forgiven[k]
+                scratch.enough[k] = max(half, motion.least[k]) - arena.forgiven[k]
                 scratch.least[k] = motion.least[k]
                 if known >= motion.least[k]:
                     scratch.least[k] = -np.inf
                     if 2.0 * half <= rooms[one, k] + rooms[other, k]:
                         scratch.enough[k] = -np.inf
-            free = write_room(chain, around, scratch, rooms[middle])
+            free = write_room(arena, scratch, rooms[middle])
             scratch.enough[:], scratch.least[:] = _AMPLE, -np.inf
             counts[0] = middle + 1
             if not free:
@@ -324,14 +322,14 @@ def go_on_with(
 @entry
 def begin_looking(
     motion: Motion, start: Vector, room: Vector, end: Vector, end_room: Vector, needed: Vector,
-    reach: Matrix,
+    arena: Arena,
 ) -> bool:
     """Begin to look at a motion, see `begin_motion`."""
-    return begin_motion(motion, start, room, end, end_room, needed, reach)
+    return begin_motion(motion, start, room, end, end_room, needed, arena)
 
 
 @entry
-def go_on_looking(motion: Motion, most: int, chain: Chain, around: Around) -> tuple[int, int]:
+def go_on_looking(motion: Motion, most: int, arena: Arena) -> tuple[int, int]:
     """Go on looking at a motion, see `go_on_with`; return its state, and how much work it was."""
-    scratch = new_scratch(motion.start, chain, around)
-    return go_on_with(motion, most, chain, around, scratch), scratch.work[0]
+    scratch = new_scratch(arena)
+    return go_on_with(motion, most, arena, scratch), scratch.work[0]

@@ -23,9 +23,9 @@ from redundant_planner.core.kernels import (
     Vector,
 )
 from redundant_planner.core.robot.cone import cone_room
-from redundant_planner.core.robot.kinematics import Chain, fill
+from redundant_planner.core.robot.kinematics import fill
 from redundant_planner.core.target.straight_motion import (
-    Around,
+    Arena,
     begin_motion,
     BLOCKED,
     FREE,
@@ -191,24 +191,23 @@ def _remove(trees: Trees, tree: int, node: int) -> None:
 
 
 @kernel
-def _into_cone(
-    chain: Chain, around: Around, scratch: Scratch, low: Vector, high: Vector, q: OutVector,
-) -> None:
+def _into_cone(arena: Arena, scratch: Scratch, q: OutVector) -> None:
     """Lead a posture (n,) into the tips' cones, or nearer to that: the worst one first."""
+    cone, low, high = arena.joints.cone, arena.joints.position_min, arena.joints.position_max
     for _ in range(_STEPS_INTO_CONE):
         scratch.arm.q[:] = q
-        fill(chain, scratch.places, scratch.arm)
+        fill(arena.chain, scratch.places, scratch.arm)
         scratch.work[0] += _COST_OF_TILT
         arm = scratch.arm
-        room, gradient = cone_room(around.cone, arm.tip_rotations[0], arm.tip_jacobian[:6])
+        room, gradient = cone_room(cone, arm.tip_rotations[0], arm.tip_jacobian[:6])
         for t in range(1, len(arm.tip_rotations)):
             other, slope = cone_room(
-                around.cone, arm.tip_rotations[t], arm.tip_jacobian[6 * t:6 * t + 6])
+                cone, arm.tip_rotations[t], arm.tip_jacobian[6 * t:6 * t + 6])
             if other < room:
                 room, gradient = other, slope
-        if room > _ROOM_IN_CONE * around.cone.angle:
+        if room > _ROOM_IN_CONE * cone.angle:
             return
-        missing = 2.0 * _ROOM_IN_CONE * around.cone.angle - room
+        missing = 2.0 * _ROOM_IN_CONE * cone.angle - room
         squared = _TINY
         for j in range(len(q)):
             squared = squared + gradient[j] * gradient[j]
@@ -239,11 +238,11 @@ def _nearest(trees: Trees, tree: int, aim: Vector, scaling: Vector) -> tuple[int
 
 @kernel
 def _begin_branch(
-    trees: Trees, tree: int, aim: Vector, motion: Motion, needed: Vector, scaling: Vector,
-    longest: float, low: Vector, high: Vector, reach: Matrix, chain: Chain, around: Around,
-    scratch: Scratch,
+    trees: Trees, tree: int, aim: Vector, motion: Motion, needed: Vector, longest: float,
+    arena: Arena, scratch: Scratch,
 ) -> bool:
     """Begin to look at a branch towards a posture (n,); return whether it may be free."""
+    scaling = arena.joints.scaling
     numbers = trees.numbers
     root, size = _nearest(trees, tree, aim, scaling)
     numbers[_ROOT], numbers[_ARRIVES] = root, 1 if size <= longest else 0
@@ -251,17 +250,17 @@ def _begin_branch(
     for j in range(len(aim)):
         near = trees.postures[tree, root, j]
         trees.branch[j] = aim[j] if share == 1.0 else near + share * (aim[j] - near)
-    if share < 1.0 and around.in_cone:
-        _into_cone(chain, around, scratch, low, high, trees.branch)
+    if share < 1.0 and arena.in_cone:
+        _into_cone(arena, scratch, trees.branch)
         # Back where it came from, it would grow from there again and again.
         if _squared(aim, trees.branch, scaling) > (size - _PROGRESS * longest) ** 2:
             return False
     scratch.arm.q[:], scratch.least[:] = trees.branch, needed
-    free = write_room(chain, around, scratch, trees.room)
+    free = write_room(arena, scratch, trees.room)
     scratch.least[:] = -np.inf
     return free and begin_motion(
         motion, trees.postures[tree, root], trees.rooms[tree, root], trees.branch, trees.room,
-        needed, reach)
+        needed, arena)
 
 
 @kernel
@@ -281,9 +280,8 @@ def _smaller_tree(numbers: Indices) -> int:
 
 @entry
 def grow(
-    trees: Trees, motion: Motion, aims: Matrix, needed: Vector, scaling: Vector, longest: float,
-    low: Vector, high: Vector, reach: Matrix, most: int, chain: Chain,
-    around: Around,
+    trees: Trees, motion: Motion, aims: Matrix, needed: Vector, longest: float, most: int,
+    arena: Arena,
 ) -> tuple[int, int]:
     """Grow trees a little further; return how it ended, and how much work it was.
 
@@ -292,20 +290,17 @@ def grow(
         motion: the branch that is looked at.
         aims: (r, n) random postures.
         needed: (k,) room.
-        scaling: (n,) of the joints' lengths, see `PathJoints`.
-        longest: of a branch [rad].
-        low, high: (n,) of the joints [rad, m].
-        reach: (k, n) see `begin_motion`.
+        longest: of a branch [rad, joint weights included].
         most: how much work it may be, about [ns].
-        chain, around: the arm, and what is in its way.
+        arena: where they grow.
     """
-    numbers, scratch = trees.numbers, new_scratch(trees.branch, chain, around)
+    numbers, scratch = trees.numbers, new_scratch(arena)
     room_for, work = trees.postures.shape[1] - 1, scratch.work
     while work[0] < most:
         tree = 1 - numbers[_TREE] if numbers[_CONNECTS] == 1 else numbers[_TREE]
         state = BLOCKED
         if numbers[_LOOKS] == 1:
-            state = go_on_with(motion, most, chain, around, scratch)
+            state = go_on_with(motion, most, arena, scratch)
             if state == PENDING:
                 break
             numbers[_LOOKS] = 0
@@ -321,8 +316,7 @@ def grow(
             else:
                 aim = aims[numbers[USED]]
                 numbers[USED] += 1
-            if _begin_branch(trees, tree, aim, motion, needed, scaling, longest, low, high,
-                             reach, chain, around, scratch):
+            if _begin_branch(trees, tree, aim, motion, needed, longest, arena, scratch):
                 numbers[_LOOKS] = 1
                 continue
         free = state == FREE

@@ -111,7 +111,7 @@ def test_rows_are_rooms_with_their_gradients(seed):
     random = np.random.default_rng(seed)
     space = space_among(crowd(random))
     band = random_band(space, random)
-    look_at_nodes(band, 0, len(band.nodes), PANDA.chain, space.around)
+    look_at_nodes(band, 0, len(band.nodes), space.arena)
     for node, q in enumerate(band.nodes):
         rows = slice(band.rows[node])
         if band.rows[node] == 0:
@@ -138,7 +138,7 @@ def test_of_too_many_rows_the_most_urgent_are_kept():
         shape = (len(many.nodes), most)
         band = Band(many.nodes, many.ends, many.asked, np.empty((*shape, 7)), np.empty(shape),
                     np.empty(shape), many.rows.copy(), many.squares, many.step)
-        look_at_nodes(band, 0, len(band.nodes), PANDA.chain, space.around)
+        look_at_nodes(band, 0, len(band.nodes), space.arena)
         return [np.sort(spare[:rows]) for spare, rows in zip(band.spare, band.rows)]
 
     all_rows, few = with_rows(600), with_rows(5)
@@ -154,7 +154,7 @@ def test_a_step_solves_the_problem(seed):
     random = np.random.default_rng(seed)
     space = space_among(crowd(random))
     band, scaling = random_band(space, random), random.uniform(0.5, 2.0, 7)
-    look_at_nodes(band, 0, len(band.nodes), PANDA.chain, space.around)
+    look_at_nodes(band, 0, len(band.nodes), space.arena)
     acted, solutions = band.acts.copy(), 0
     while solve_step(band, scaling):
         acted, solutions = band.acts.copy(), solutions + 1

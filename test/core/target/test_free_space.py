@@ -19,14 +19,13 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot import se3
-from redundant_planner.core.robot.kinematics import Chain
 from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal_postures import goal_postures, off_poses, posture_at
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.path_search import PathSearch
 from redundant_planner.core.target.straight_motion import (
-    Around,
+    Arena,
     COST_OF_CALL,
     new_scratch,
     write_room,
@@ -81,14 +80,14 @@ def test_a_motion_that_counts_as_free_has_room_everywhere(seed):
 
 @compiled
 def too_little_is_seen(
-    postures: Matrix, least: float, chain: Chain, around: Around, rooms: OutMatrix,
+    postures: Matrix, least: float, arena: Arena, rooms: OutMatrix,
 ) -> tuple[int, int]:
     """Write rooms (N, k), left out below a bound; return how many were, and the work."""
-    scratch, left_out = new_scratch(postures[0], chain, around), 0
+    scratch, left_out = new_scratch(arena), 0
     scratch.least[:] = least
     for i in range(len(postures)):
         scratch.arm.q[:] = postures[i]
-        if not write_room(chain, around, scratch, rooms[i]):
+        if not write_room(arena, scratch, rooms[i]):
             rooms[i] = -1.0
             left_out += 1
     return left_out, scratch.work[0]
@@ -106,8 +105,8 @@ def test_where_there_is_too_little_room_the_rest_is_left_out(seed, least, parame
     # Links that are found too close to each other count as having no room.
     space.begin_at(postures[random.integers(30)])
     before = space.spent
-    known, some = space.rooms(postures), np.empty((30, len(space.reach)))
-    left_out, work = too_little_is_seen(postures, least, PANDA.chain, space.around, some)
+    known, some = space.rooms(postures), np.empty((30, len(space.arena.reach)))
+    left_out, work = too_little_is_seen(postures, least, space.arena, some)
     assert 0 < work <= space.spent - before
     np.testing.assert_array_equal(some[:, 0] == -1.0, (known < least).any(axis=1))
     free = (known >= least).all(axis=1)

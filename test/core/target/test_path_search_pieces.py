@@ -69,12 +69,10 @@ def grown(space, start, goals, seed, piece=100_000, longest=0.8):
     ended, pieces = None, 0
     while ended in (None, GROWING, TOO_LARGE) and trees is not None:
         ended, work = grow(
-            trees, motion, aims, space.asked(0.002), space.joints.scaling, longest,
-            space.joints.position_min, space.joints.position_max, space.reach, piece,
-            space.robot.chain, space.around)
+            trees, motion, aims, space.asked(0.002), longest, piece, space.arena)
         pieces += 1
         # It ends with the posture that it began, and the look for one that is nearest.
-        assert work <= max(piece, COST_OF_CALL) + 2 * usual_work(space.around, 7) + 50_000
+        assert work <= max(piece, COST_OF_CALL) + 2 * usual_work(space.arena) + 50_000
         if ended == TOO_LARGE:
             trees = enlarged(trees)
     return trees, ended, pieces
@@ -180,7 +178,7 @@ def test_shortcuts_never_lengthen_a_way_and_are_free(seed, piece):
     while not over:
         over, _ = shorten(
             work, motion, *(np.array(part) for part in zip(*goals)), numbers, space.asked(0.002),
-            space.joints.scaling, space.reach, 40, piece, space.robot.chain, space.around)
+            40, piece, space.arena)
         lengths.append(work.along[work.numbers[COUNT] - 1])
     assert (np.diff(lengths) <= 1e-12).all() and lengths[-1] <= lengths[0]
     shorter = work.postures[:work.numbers[COUNT]]
