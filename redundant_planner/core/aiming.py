@@ -85,6 +85,7 @@ class Aiming:
         """Forget everything: the arm stands where it is found."""
         self._look_ahead.reset()
         self.forget_target()
+        self._way.forget_past()
         self._by_joints = False
         self._back.reset()
         self._evasive.reset()

@@ -19,7 +19,7 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.safety.stage import Stage
 from redundant_planner.core.safety.stages import Filtered, Request
-from redundant_planner.core.target.free_way import JointMotion
+from redundant_planner.core.target.joint_motion import JointMotion
 from redundant_planner.core.tick import Wish
 
 Array = npt.NDArray[np.float64]

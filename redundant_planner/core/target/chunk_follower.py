@@ -22,8 +22,8 @@ from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
 from redundant_planner.core.target.chunk import Chunk
-from redundant_planner.core.target.free_way import JointMotion
 from redundant_planner.core.target.joint_chunk_way import JointChunkWay
+from redundant_planner.core.target.joint_motion import JointMotion
 from redundant_planner.core.target.progress import Progress, REACHED, TargetState
 from redundant_planner.core.target.smooth_curve import Motion
 from redundant_planner.core.target.tip_chunk_way import TipChunkWay, Which

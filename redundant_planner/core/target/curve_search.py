@@ -11,6 +11,7 @@ from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.joint_curve import JointCurve, lengths_along, resampled
+from redundant_planner.core.target.past_ways import PastWays
 from redundant_planner.core.target.path_search import PathSearch
 from redundant_planner.core.target.straight_motion import COST_OF_CALL
 
@@ -43,7 +44,7 @@ class CurveSearch:
 
     def __init__(
         self, space: FreeSpace, start: Array, target: Goal | Poses, scaling: Array, *,
-        gives_way: bool, seed: int = 0,
+        gives_way: bool, seed: int = 0, past: PastWays | None = None,
     ) -> None:
         """Begin.
 
@@ -52,11 +53,12 @@ class CurveSearch:
             start: (n,) where the way begins.
             target: where it ends.
             scaling: (n,) see `PathJoints`.
-            gives_way, seed: see `PathSearch`.
+            gives_way, seed, past: see `PathSearch`.
         """
         self.space = space
         self.found: Array | None = None
-        self.search = PathSearch(space, start, target, gives_way=gives_way, seed=seed)
+        self.search = PathSearch(
+            space, start, target, gives_way=gives_way, seed=seed, past=past)
         self._scaling, self._any_way = scaling, False
         self._polygon = np.empty((0, len(start)))  # corners of the curve found last
         self._work = self._curves()

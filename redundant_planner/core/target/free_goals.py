@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 import math
 
 import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.robot.se3 import Poses, stacked
+from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.target.free_space import FreeSpace, Place, stacked_places
 from redundant_planner.core.target.goal import Goal
-from redundant_planner.core.target.goal_postures import goal_postures, only_posture
+from redundant_planner.core.target.goal_postures import goal_postures, only_posture, posture_at
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -21,6 +22,8 @@ _ROOM = 1e-4
 # Guesses at goal postures in one look; how many postures are enough, after how many guesses at
 # least, as others lead to other families; and how many may come of one, along its null space.
 _GUESSES, _ENOUGH, _FEWEST_GUESSES, _OF_FAMILY = 60, 12, 12, 3
+# Guesses that lead this near to a posture lead to it [rad, m].
+_SAME = 1e-3
 # Guesses without any posture after which a pose counts as out of reach.
 _GUESSES_OUT_OF_REACH = 300
 # What it costs to see which postures are free, and to choose some of a family [ns].
@@ -50,10 +53,12 @@ class FreeGoals:
             random: the numbers.
         """
         self._space, self._start = space, start
+        self._poses: Poses | None = None
         if isinstance(target, np.ndarray):
             self._found, self._at_once = only_posture(space, start, target), 1
         else:
-            self._found = goal_postures(space, start, stacked(target), random)
+            self._poses = stacked(target)
+            self._found = goal_postures(space, start, self._poses, random)
             self._at_once = _GUESSES
         self._guesses, self._reached, self.out_of_reach = 0, False, False
         self._tightest: Array | None = None  # room (k,) of the posture that is most nearly free
@@ -75,6 +80,19 @@ class FreeGoals:
                 self._add(family)
                 family = []
         self.out_of_reach = not self._reached and self._guesses >= _GUESSES_OUT_OF_REACH
+
+    def look_near(self, guesses: Iterable[Array]) -> Generator[None, None, None]:
+        """Look for those that guesses (n,) lead to; it pauses likewise."""
+        if self._poses is None:
+            yield from self.look()
+            return
+        for guess in guesses:
+            found = posture_at(self._space, guess, self._poses)
+            if found is not None:
+                found = nearest_turn(found, self._start, self._space.joints.position_max)
+                if not (np.abs(self.postures - found) < _SAME).all(axis=1).any():
+                    self._add(self._free([self._space.place(found)]))
+            yield
 
     def begin_at(self, start: Array) -> None:
         """Take another posture (n,) for the one where ways begin."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +20,13 @@ from redundant_planner.core.robot import se3
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Poses, stacked
 from redundant_planner.core.safety.limits import Limits
-from redundant_planner.core.safety.stages import Request
 from redundant_planner.core.target.curve_search import CurveSearch, OVERLAP
 from redundant_planner.core.target.free_space import FreeSpace
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.joint_curve import JointCurve
+from redundant_planner.core.target.joint_motion import JointMotion
 from redundant_planner.core.target.joint_way import JointWay
+from redundant_planner.core.target.past_ways import PastWays
 from redundant_planner.core.target.patience import Patience
 
 Array = npt.NDArray[np.float64]
@@ -35,9 +35,10 @@ Array = npt.NDArray[np.float64]
 # is on one [s].
 _MOST_WORK, _MOST_ON_THE_WAY = 1.2e-3, 0.9e-3
 # After this time any way will do, in searches for the same target after ever less: those that are
-# good are alike, and the filter may stop each. After that the tip goes as near as a line takes it
-# [s].
-_LATE, _LONGEST = 0.25, 1.0
+# good are alike, and the filter may stop each. Where the arm has gone before there is a way at
+# once, and most others that are better are found by the second one. After the third the tip goes
+# as near as a line takes it [s].
+_LATE, _LATE_FOR_KNOWN, _LONGEST = 0.25, 0.06, 1.0
 # After this time without a way a tick works a quarter as much [s].
 _DILIGENT = 5.0
 # The rest of a way that is improved begins this far ahead of the arm [s], and is at least so many
@@ -63,33 +64,6 @@ _ANOTHER, _NEAR, _NEAR_ANGLE = 1e-3, 0.02, 0.1
 _AT_REST = 1e-5
 # Largest speed of the feedback to the way [rad/s, m/s].
 _FEEDBACK_SPEED = 0.2
-
-
-class JointMotion(NamedTuple):
-    """What the joints shall do in a tick.
-
-    Attributes:
-        velocity: (n,) along the way [rad/s, m/s].
-        feedback: (n,) back to it.
-    """
-
-    velocity: Array
-    feedback: Array
-
-    @property
-    def wanted(self) -> Array:
-        """Both together (n,)."""
-        return self.velocity + self.feedback
-
-    def request(self, q: Array, previous: Array) -> Request:
-        """Return this for the filter, from a posture and the velocity of the last tick, (n,) each.
-
-        A path of the joints is kept like one of the tip whose Jacobian is the identity.
-        """
-        n = len(q)
-        return Request(
-            self.wanted, np.zeros(n), np.eye(n), self.wanted, self.feedback, np.zeros(n), q,
-            previous)
 
 
 class Stretch(Enum):
@@ -126,14 +100,25 @@ class FreeWay:
         """
         self._robot, self._limits, self._scaling = robot, limits, scaling
         self._full_speed, self._gain, self._gives_way = full_speed, gain, gives_way
-        self._effort = effort
+        self._effort, self._past = effort, PastWays()
+        self._way: JointWay | None = None
         self.reset()
 
+    def go_on_from(self, before: FreeWay) -> None:
+        """Remember the ways that another one remembers, that which it is on among them."""
+        before._note_way()
+        self._past = before._past
+
+    def forget_past(self) -> None:
+        """Forget the ways that the arm has gone."""
+        self._past = PastWays()
+
     def reset(self) -> None:
-        """Forget the target and the way."""
+        """Forget the target and the way; it is remembered as one that the arm has gone."""
+        self._note_way()
         self.stretch, self.out_of_reach = Stretch.LINE, False
         self._target: Goal | Poses | None = None
-        self._way: JointWay | None = None
+        self._way = None
         self._finder: CurveSearch | None = None
         self._put_off: Callable[[], None] | None = None  # see `catch_up`
         self._points = np.empty((0, self._robot.n))  # control points of the way
@@ -266,6 +251,7 @@ class FreeWay:
 
     def _think(self, start: Start, space: FreeSpace) -> None:
         """Begin to look for a way from where the arm comes to rest."""
+        self._note_way()
         assert self._target is not None
         stop = float(np.abs(start.previous / self._limits.acceleration_max).max())
         rest = np.clip(start.arm.q + 0.5 * stop * start.previous,
@@ -285,7 +271,8 @@ class FreeWay:
 
         def begin() -> None:
             self._finder = CurveSearch(
-                space, stop, target, self._scaling, gives_way=self._gives_way, seed=seed)
+                space, stop, target, self._scaling, gives_way=self._gives_way, seed=seed,
+                past=self._past)
 
         self._put_off = begin
 
@@ -324,7 +311,8 @@ class FreeWay:
             return
         polygon = finder.found
         if polygon is None:
-            self._put_off_thinking(finder, start.dt, any_way=self._age >= _LATE / self._searches)
+            late = _LATE_FOR_KNOWN if search.went_before else _LATE
+            self._put_off_thinking(finder, start.dt, any_way=self._age >= late / self._searches)
         else:
             if self._is_blocked(polygon, space()):
                 self._think(start, space())
@@ -336,6 +324,7 @@ class FreeWay:
             self.stretch, self.tried_line = Stretch.FOLLOWING, search.aside
             self._aside = 0.0 if search.aside else None
             self._improves, self._rest = not (search.aside or search.straight), None
+            self._ahead = _AHEAD
             return
         if self._gives_way and self._age >= _PATIENT and search.way is None:
             search.step_aside()
@@ -346,7 +335,7 @@ class FreeWay:
         assert finder is not None and way is not None
         self._age += start.dt
         if self._rest is None:
-            first = int(way.parameter_in(_AHEAD)) + 2 + OVERLAP
+            first = int(way.parameter_in(self._ahead)) + 2 + OVERLAP
             first = max(first, self._since + OVERLAP)
             last = len(self._points) - 1
             self._improves = last - first >= _FEWEST_POINTS
@@ -366,8 +355,10 @@ class FreeWay:
                 self._robot, self._limits, self._full_speed, JointCurve(points), start.previous,
                 way.parameter)
             self._rest = None
-            if better.too_fast or self._is_blocked(finder.found, space()):
+            if self._is_blocked(finder.found, space()):
                 self._improves = False
+            elif better.too_fast:
+                self._ahead *= 2.0
             else:
                 self._way, self._points = better, points
 
@@ -376,6 +367,11 @@ class FreeWay:
         assert self._finder is not None
         looked_at = points[::max(len(points) // _LOOKS_AHEAD, 1)]
         return now is not self._finder.space and now.nearest_obstacle(looked_at) < -_INSIDE
+
+    def _note_way(self) -> None:
+        """Remember what the arm has gone of the way that it leaves now."""
+        if self._way is not None and self.stretch is not Stretch.THINKING and self._aside is None:
+            self._past.note(self._way.gone)
 
     @property
     def in_vain(self) -> bool:

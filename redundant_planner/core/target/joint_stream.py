@@ -10,7 +10,7 @@ import numpy.typing as npt
 from redundant_planner.core.redundancy.reference import Start
 from redundant_planner.core.robot.turns import nearest_turn
 from redundant_planner.core.safety.limits import Limits
-from redundant_planner.core.target.free_way import JointMotion
+from redundant_planner.core.target.joint_motion import JointMotion
 from redundant_planner.core.target.moving_target import MovingTarget, Sighting
 from redundant_planner.core.target.patience import Patience
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -21,6 +23,9 @@ _SHARE = 0.95
 _SHORTEST_PIECE = 0.1
 # The square of the speed may exceed what is allowed by this share before it is too much.
 _TOO_FAST = 0.02
+# Postures of each span by which a way that is gone is remembered: motions from one to the next
+# stay near it.
+_GONE_PER_SPAN = 2
 # A way shorter than this is over [s at its pace], and no piece is shorter.
 _OVER = 1e-9
 
@@ -97,6 +102,12 @@ class JointWay:
         at = np.arange(len(self._times)) * self._pace.step
         then = float(np.interp(self._pace.end - self.left, at, self._times)) + seconds
         return float(np.interp(then, self._times, at)) * self._spans_per_second
+
+    @property
+    def gone(self) -> Array:
+        """Postures (k, n) on what is behind, from the first to the last."""
+        count = max(math.ceil(_GONE_PER_SPAN * self.parameter), 1)
+        return self._curve.at(np.linspace(0.0, self.parameter, count + 1))
 
     def ahead(self, count: int) -> Array:
         """Return postures (count, n) on what is left, the end among them."""

@@ -21,6 +21,7 @@ from redundant_planner.core.target.free_goals import FreeGoals
 from redundant_planner.core.target.free_space import FreeSpace, Place, places_of, stacked_places
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.joint_curve import lengths_along
+from redundant_planner.core.target.past_ways import COST_OF_WAY, Part, PastWays
 from redundant_planner.core.target.random_postures import informed_samples, near_trees
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
 from redundant_planner.core.target.straight_motion import Motion, new_motion
@@ -37,6 +38,7 @@ from redundant_planner.core.target.tree_growth import (
     USED,
     way_between,
     with_goals,
+    with_start,
 )
 
 Array = npt.NDArray[np.float64]
@@ -82,12 +84,13 @@ class PathSearch:
         shortened: whether it has been made shorter, roughly at least.
         rounds: how many attempts have ended since the first way was found.
         goals: that are known so far, see `FreeGoals`.
+        went_before: whether a way that the arm has gone before led to a goal.
         aside: whether the way leads out of the way of others, and not to a goal.
     """
 
     def __init__(
         self, space: FreeSpace, start: Array, target: Goal | Poses, *, gives_way: bool,
-        seed: int = 0,
+        seed: int = 0, past: PastWays | None = None,
     ) -> None:
         """Prepare.
 
@@ -97,14 +100,15 @@ class PathSearch:
             target: where it ends.
             gives_way: whether it looks around for `step_aside` while there is no goal.
             seed: of its random numbers.
+            past: ways that the arm has gone.
         """
         self.way: Way | None = None
         self.room = self._price = np.inf
         self.straight, self.good, self.shortened, self.rounds = False, False, False, 0
-        self.aside = False
+        self.aside = self.went_before = False
         self._trees: Trees | None = None  # the latest, of which the first begins at the start
         self._space, self._start, self._gives_way = space, space.begin_at(start), gives_way
-        self._random = np.random.default_rng(seed)
+        self._random, self._past = np.random.default_rng(seed), past
         self.goals = FreeGoals(space, start, target, self._random)
         self._ranges = space.joint_ranges(start)
         self._memory: Motion | None = None
@@ -115,10 +119,12 @@ class PathSearch:
     def work(self) -> Generator[None, None, None]:
         """Search, and pause after each piece of work."""
         attempt = 0
-        self._unmet.clear()
         if self.way is not None:
             yield from self._improved(self.way, self.room)
             self.rounds += 1
+        elif self._past is not None and self._past.ends:
+            yield from self.goals.look()
+            yield from self._gone_before(self._past)
         while True:
             yield from self.goals.look()
             room = _ROOMS[attempt % len(_ROOMS)]
@@ -154,6 +160,8 @@ class PathSearch:
         self._start = self._space.begin_at(rest[0])
         self.goals.begin_at(rest[0])
         self._blocked.clear()
+        self._unmet = {room: (with_start(trees, *self._start), rooted)
+                       for room, (trees, rooted) in self._unmet.items()}
         last = min(self.goals.places, key=lambda goal: float(np.abs(goal.q - rest[-1]).max()))
         between = rest[1:-1]
         self.way = [self._start, *places_of(between, self._space.rooms(between)), last]
@@ -194,6 +202,42 @@ class PathSearch:
             self._trees = new_trees((q, room), (q[:0], room[:0]))
         yield from self._grow(self._trees, _LOOKS_AROUND, _ROOMS[-1])
 
+    def _gone_before(self, past: PastWays) -> Generator[None, None, None]:
+        """Take a way that the arm has gone before, if one leads to a goal and is still free."""
+        space = self._space
+        if (self._start.room < -_INSIDE).any():
+            return
+        yield from self.goals.look_near(past.ends)
+        parts: list[Part] = []
+        for part in past.parts(self._start.q, self.goals.postures, space.joints.scaling):
+            parts += [part] if part is not None else []
+            space.spend(COST_OF_WAY)
+            yield
+        if not parts:
+            return
+        part, places = min(parts, key=lambda part: part.length), list[Place]()
+        for some in space.slices(len(part.postures)):
+            places += places_of(part.postures[some], space.rooms(part.postures[some]))
+            yield
+        end = self.goals.places[part.goal]
+        ways = [([self._start, *places, end], room) for room in _ROOMS]
+        if part.length > _AS_GOOD * self.goals.away[part.goal]:
+            # What was in the way then may be gone.
+            ways.insert(0, ([self._start, end], _ROOMS[0]))
+        for way, room in ways:
+            if (yield from self._is_free(way, room)):
+                self._note(way, room)
+                self.shortened = self.went_before = True
+                return
+
+    def _is_free(self, way: Way, room: float) -> Generator[None, None, bool]:
+        """Return whether straight motions from place to place are free."""
+        needed, motion = self._space.asked(room), self._motion()
+        for one, other in pairwise(way):
+            if not (yield from self._space.is_free_between(one, other, needed, motion)):
+                return False
+        return True
+
     def _price_of(self, way: Way, room: float) -> float:
         """Return what a way with some room costs: its length, if nothing else counts."""
         self._space.spend(_COST_OF_PRICE)
@@ -204,7 +248,6 @@ class PathSearch:
         price = self._price_of(way, room)
         if price < self._price:
             self._price, self.room = price, room
-            self._unmet.clear()  # they lead to goals that no longer count
             least = float((self.goals.away + self.goals.price).min())
             self.straight = len(way) == 2 and price <= _AS_GOOD * least
             self.good, self.way, self.aside = price <= _GOOD * least, way, False

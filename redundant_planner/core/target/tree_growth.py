@@ -130,6 +130,15 @@ def with_goals(trees: Trees, postures: Array, rooms: Array) -> Trees:
     return trees
 
 
+def with_start(trees: Trees, posture: Array, room: Array) -> Trees:
+    """Return trees of which the first one begins anew, at a posture (n,) with room (k,)."""
+    trees.postures[0, 0], trees.rooms[0, 0], trees.parents[0, 0] = posture, room, -1
+    others = trees.numbers[_OTHER_COUNT]
+    trees.numbers[:] = 0
+    trees.numbers[[_COUNT, _OTHER_COUNT]] = 1, others
+    return trees
+
+
 def way_between(trees: Trees) -> tuple[Array, Array]:
     """Return postures (w, n) and rooms (w, k) from start to goal where the trees have met."""
     forth, back = _branches(trees)

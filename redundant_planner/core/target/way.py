@@ -29,8 +29,9 @@ from redundant_planner.core.safety.stages import Filtered
 from redundant_planner.core.target.chunk import Chunk
 from redundant_planner.core.target.chunk_follower import ChunkFollower
 from redundant_planner.core.target.free_space import FreeSpace
-from redundant_planner.core.target.free_way import FreeWay, JointMotion, Stretch
+from redundant_planner.core.target.free_way import FreeWay, Stretch
 from redundant_planner.core.target.goal import Goal, Target, TipGoals
+from redundant_planner.core.target.joint_motion import JointMotion
 from redundant_planner.core.target.joint_stream import JointStream
 from redundant_planner.core.target.moving_target import Sighting
 from redundant_planner.core.target.progress import Progress, REACHED, TargetState
@@ -102,6 +103,7 @@ class Way:
             for line, known in zip(self._lines, before._lines):
                 line.go_on_from(known)
             self._stream.go_on_from(before._stream)
+            self._free.go_on_from(before._free)
             self._given = before._given
 
     def reset(self) -> None:
@@ -112,6 +114,10 @@ class Way:
         self._stream.reset()
         self._free.reset()
         self._forget_chunks()
+
+    def forget_past(self) -> None:
+        """Forget the ways that the arm has gone, too."""
+        self._free.forget_past()
 
     def _forget_chunks(self) -> None:
         for chunks in self._chunks:

@@ -19,7 +19,7 @@ from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.parameters import PlannerParameters
 from redundant_planner.core.robot.cone import Cone
 from redundant_planner.core.robot.se3 import stacked
-from redundant_planner.core.target import free_goals
+from redundant_planner.core.target import free_goals, free_way
 from redundant_planner.core.target.curve_search import CurveSearch, OVERLAP
 from redundant_planner.core.target.free_way import Stretch
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
@@ -37,6 +37,7 @@ from redundant_planner.core.target.tree_growth import (
     TOO_LARGE,
     way_between,
     with_goals,
+    with_start,
 )
 
 PANDA = make_panda()
@@ -126,6 +127,33 @@ def test_an_edge_is_cut_off_with_all_that_hangs_on_it_and_trees_grow_on(seed):
                     (after[tree][parent], after[tree][i]),
                     way[edge:edge + 2] if tree == 0 else way[edge:edge + 2][::-1]))
                 assert np.linalg.norm(after[tree][i] - after[tree][parent]) <= 0.8 + 1e-9
+
+
+@settings(max_examples=examples(15), deadline=None)
+@given(SEEDS)
+def test_trees_of_another_start_keep_what_leads_to_goals(seed):
+    random = np.random.default_rng(seed)
+    space = space_among(crowd(random))
+    start, other, *goals = free_places(space, random, 5)
+    trees, ended, _ = grown(space, start, goals, seed)
+    if ended == TOO_LARGE:
+        return
+    kept = trees.postures[1, :trees.numbers[1]].copy()
+    trees = with_start(trees, *other)
+    np.testing.assert_array_equal(trees.numbers[:2], (1, len(kept)))
+    np.testing.assert_array_equal(trees.postures[1, :len(kept)], kept)
+    ended, _ = grow(
+        trees, new_motion(7, len(start.room), 6.0),
+        random.uniform(PANDA.position_min, PANDA.position_max, (4000, 7)), space.asked(0.002),
+        0.8, 10**9, space.arena)
+    if ended != MET:
+        return
+    postures, rooms = way_between(trees)
+    np.testing.assert_array_equal(postures[0], other.q)
+    np.testing.assert_array_equal(rooms[0], other.room)
+    assert any((postures[-1] == goal.q).all() for goal in goals)
+    for one, another in pairwise(postures):
+        assert dense_room(space, one, another) > 0.0
 
 
 @settings(max_examples=examples(10), deadline=None)
@@ -241,6 +269,33 @@ def test_a_better_rest_is_taken_up_in_motion_without_a_jump():
     # What has been passed stays as it was.
     for one, other in pairwise(curves):
         np.testing.assert_array_equal(one[:2], other[:2])
+    assert np.abs(tip(ROBOT, run.q).position - target.position).max() < 5e-4
+
+
+def test_where_the_arm_is_too_fast_for_a_better_rest_it_tries_one_that_begins_later(monkeypatch):
+    ahead, refused = [], []
+
+    class Way(JointWay):
+        def __init__(self, *args):
+            super().__init__(*args)
+            if len(args) > 5 and len(refused) < 2:  # one that begins on the way
+                refused.append(args)
+                self.too_fast = True
+
+    def noted(self, seconds):
+        ahead.append(seconds)
+        return usual(self, seconds)
+
+    usual = JointWay.parameter_in
+    monkeypatch.setattr(free_way, 'JointWay', Way)
+    monkeypatch.setattr(JointWay, 'parameter_in', noted)
+    run, target = Run(start=LEFT, target_effort=0.04), tip(ROBOT, RIGHT)
+    run.to(target, 6.0, Scene.of([
+        WALL, Obstacle.box('shelf', (0.45, 0.0, 0.75), (0.3, 0.5, 0.02)),
+        Obstacle.box('back', (-0.3, 0.0, 0.5), (0.2, 1.0, 1.0))]))
+    assert len(refused) == 2, 'little was improved: the test needs another scene'
+    assert ahead[0] < ahead[-1] == 4.0 * ahead[0]
+    run.assert_within_limits()
     assert np.abs(tip(ROBOT, run.q).position - target.position).max() < 5e-4
 
 
