@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from redundant_planner.analysis import metrics
 from redundant_planner.analysis.bounded_series import HeldTwists, KeptScenes, ThinnedRows
-from redundant_planner.analysis.chunk_following import ChunkLog, ChunkRun, places_of
+from redundant_planner.analysis.chunk_following import ChunkLog, ChunkRun
 from redundant_planner.analysis.commanded import Commands
 from redundant_planner.analysis.joint_measures import JointSums
 from redundant_planner.analysis.path_errors import path_errors
@@ -38,6 +38,7 @@ from redundant_planner.io.recorded_configuration import (
     recorded_obstacles,
 )
 from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
+from redundant_planner.io.tip_topics import OBJECT
 
 Array = npt.NDArray[np.float64]
 
@@ -45,6 +46,8 @@ Array = npt.NDArray[np.float64]
 _SLOW = 0.01
 _CHUNKS = ('target_path', 'target_trajectory')
 _TARGETS = ('target_pose', 'target_joints', *_CHUNKS)
+# What each of several tips has, and what they hold.
+_OF_TIPS = ('cmd_vel', 'target_pose', 'target_path')
 _TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'attached', 'diagnostics', 'target',
            *_TARGETS)
 
@@ -117,6 +120,8 @@ class _Motion:
         self._bag, self._source, self._robot, self._notes = bag, source, robot, notes
         self._found, self._reports = found, PlannerReports()
         self._topics = bag.call(obstacle_topics(values))
+        tips = robot.tips if robot is not None and len(robot.tips) > 1 else ()
+        self._of_tips = bag.of_tips((*tips, OBJECT), _OF_TIPS) if tips else []
         self._tracker = ObstacleSources.of(
             len(self._topics), recorded_obstacles(values, notes), (), transform=as_it_is,
             estimate_velocity=False)
@@ -148,8 +153,8 @@ class _Motion:
             RecordingError: there are no joint states between.
             JointsMissingError: they are of another robot.
         """
-        for item in self._bag.read((*_TOPICS, *self._topics), begin, end, progress,
-                                   order=(*self._topics, 'attached', *_CHUNKS)):
+        for item in self._bag.read((*_TOPICS, *self._topics, *self._of_tips), begin, end, progress,
+                                   order=(*self._topics, 'attached', *_CHUNKS, *self._of_tips)):
             if isinstance(item, Event):
                 self._take_event(item)
                 continue
@@ -174,7 +179,7 @@ class _Motion:
             if twist is not None:
                 self._twists.add(event.arrival, twist)
                 self._end_chunks(event.arrival, 'cmd_vel')
-        elif event.topic in _TARGETS:
+        elif event.topic in _TARGETS or event.topic in self._of_tips:
             self._take_target(event)
         elif event.topic == 'target':
             if not self._reports.add_target(event):
@@ -193,17 +198,19 @@ class _Motion:
     def _take_target(self, event: Event) -> None:
         self._targets.append(event.arrival)
         self._twists.end(event.arrival)
-        if event.topic not in _CHUNKS:
-            self._end_chunks(event.arrival, event.topic)
+        tip, _, name = event.topic.rpartition('/')
+        if name not in _CHUNKS or tip == OBJECT:
+            # Whatever commands what tips hold together commands all of them.
+            self._end_chunks(event.arrival, event.topic, '' if tip == OBJECT else tip)
         elif self._chunks is not None:
             try:
-                self._chunks.add(event, self._posture)
+                self._chunks.add(event, self._posture, tip)
             except StateError as error:
                 self._bag.left_out.add(event.topic, str(error))
 
-    def _end_chunks(self, time: float, what: str) -> None:
+    def _end_chunks(self, time: float, what: str, tip: str = '') -> None:
         if self._chunks is not None:
-            self._chunks.end(time, what)
+            self._chunks.end(time, what, tip)
 
     def _take_stamps(self, stamps: Array) -> None:
         if self._last_stamp is not None:
@@ -319,6 +326,8 @@ def _curves(
     if robot is not None:
         arms, count = robot.kinematics_along(q), len(robot.tips)
         tips, rotations = arms.tip_positions[::count], arms.tip_rotations[::count]
+        if log is not None:
+            chunks = log.runs(times, q, arms)
     if robot is not None and len(robot.tips) == 1:
         twists = commanded.at(times)
         task = np.array([robot.task_rows(twist) for twist in twists])
@@ -327,8 +336,6 @@ def _curves(
         commanded_to_move = size > _SLOW ** 2 * size.max(initial=0.0)
         scale[commanded_to_move] = followed[commanded_to_move] / size[commanded_to_move]
         error = path_errors(robot, times, twists, tips, rotations, targets)
-        if log is not None:
-            chunks = log.runs(times, q, places_of(robot, tips, rotations))
     told = commands.at(times) if commands is not None else None
     return Curves(
         times, q, dq, ddq, told, rows[:, -1], scale, tips, error, tuple(scenes)), chunks

@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from redundant_planner.core.errors import StateError
+from redundant_planner.core.robot.kinematics import KinematicsAlong
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.quaternions import quaternion_of
 from redundant_planner.core.target.chunk import Chunk
-from redundant_planner.core.target.goal import checked_target
+from redundant_planner.core.target.goal import checked_target, checked_targets
 from redundant_planner.io.bag_reader import Event
 from redundant_planner.io.chunk_reader import read_path, read_trajectory, ReadChunk
 
@@ -41,7 +42,8 @@ class ChunkRun:
     """How the arm followed successive chunks of one kind.
 
     Attributes:
-        of_joints: whether they are of the joints, rather than of the tip.
+        of_joints: whether they are of the joints, rather than of a tip.
+        tip: which one, of several; '' of the only one, and for joints.
         chunks: how many.
         begin, end: from when on they commanded the arm, and until when [s].
         lag_median, lag_longest, lag_at: how far the arm was behind their time, and when that was
@@ -54,6 +56,7 @@ class ChunkRun:
     """
 
     of_joints: bool
+    tip: str
     chunks: int
     begin: float
     end: float
@@ -85,6 +88,7 @@ class _Piece(NamedTuple):
 
 class _Run(NamedTuple):
     of_joints: bool
+    tip: str
     pieces: list[_Piece]
     ends: list[tuple[float, str]]  # at most one
 
@@ -113,27 +117,31 @@ class ChunkLog:
         self._robot, self._origin = robot, origin
         self._runs: list[_Run] = []
 
-    @property
-    def commands(self) -> bool:
-        """Whether a chunk commands the arm now."""
-        return bool(self._runs) and not self._runs[-1].ends
+    def end(self, time: float, what: str, tip: str = '') -> None:
+        """Note what ends the chunks at a time [s]: another command, or the planner itself.
 
-    def end(self, time: float, what: str) -> None:
-        """Note what ends the chunks at a time [s]: another command, or the planner itself."""
-        if self.commands:
-            self._runs[-1].ends.append((time, what))
+        Args:
+            time: when.
+            what: it was.
+            tip: of several, the one that is commanded; '' for all.
+        """
+        for run in self._runs:
+            if not run.ends and (not tip or run.tip in ('', tip)):
+                run.ends.append((time, what))
 
-    def add(self, event: Event, posture: Array | None) -> None:
+    def add(self, event: Event, posture: Array | None, tip: str = '') -> None:
         """Take in a message of target_path or target_trajectory.
 
         Args:
             event: the message.
             posture: (n,) of the arm, for joints that are not named; None if not known.
+            tip: of several, the one that it is for.
 
         Raises:
             StateError: the planner does not take it, or nobody knows where it is.
         """
         robot, of_joints = self._robot, event.topic == 'target_trajectory'
+        of_tip = '' if of_joints else tip
         if of_joints:
             if posture is None:
                 raise StateError('they come before the first joint_states')
@@ -149,10 +157,14 @@ class ChunkLog:
             signs = np.sign((points[1:, 3:] * points[:-1, 3:]).sum(axis=1))
             points[1:, 3:] *= np.cumprod(np.where(signs < 0.0, -1.0, 1.0))[:, None]
         # As the planner checks it.
-        checked_target(Chunk(read.times, read.points, read.velocities), robot)
+        chunk = Chunk(read.times, read.points, read.velocities)
+        if of_tip:
+            checked_targets({of_tip: chunk}, robot)
+        else:
+            checked_target(chunk, robot)
         begin = self._begin_of(read, event.arrival)
-        self._take(of_joints, _Piece(max(begin, event.arrival), begin + read.times, points,
-                                     read.velocities))
+        self._take(event.topic, _Run(of_joints, of_tip, [_Piece(
+            max(begin, event.arrival), begin + read.times, points, read.velocities)], []))
 
     def _begin_of(self, read: ReadChunk, arrival: float) -> float:
         """Return when a chunk begins [s]; StateError if it is over, or begins too late."""
@@ -161,12 +173,16 @@ class ChunkLog:
             raise StateError('they are over by their stamps, or begin too late')
         return begin
 
-    def _take(self, of_joints: bool, piece: _Piece) -> None:
-        if not self.commands or self._runs[-1].of_joints != of_joints:
-            self.end(piece.begin, 'target_trajectory' if of_joints else 'target_path')
-            self._runs.append(_Run(of_joints, [piece], []))
+    def _take(self, topic: str, new: _Run) -> None:
+        """Put a run of one chunk at the end of the one that it goes on with, if there is one."""
+        piece, kind = new.pieces[0], (new.of_joints, new.tip)
+        known = next((run for run in self._runs
+                      if not run.ends and (run.of_joints, run.tip) == kind), None)
+        if known is None:
+            self.end(piece.begin, topic, new.tip)
+            self._runs.append(new)
             return
-        pieces = self._runs[-1].pieces
+        pieces = known.pieces
         while pieces and pieces[-1].begin >= piece.begin:
             pieces.pop()
         if pieces:  # of a long bag not all that was never to happen is kept
@@ -177,16 +193,22 @@ class ChunkLog:
                 velocities=None if last.velocities is None else last.velocities[:kept])
         pieces.append(piece)
 
-    def runs(self, times: Array, positions: Array, tips: Array) -> tuple[ChunkRun, ...]:
+    def runs(self, times: Array, positions: Array, arms: KinematicsAlong) -> tuple[ChunkRun, ...]:
         """Return how the arm followed them, as far as it was measured meanwhile.
 
         Args:
             times: (k,) of the samples [s].
             positions: (k, n) measured [rad, m].
-            tips: (k, 7), see `places_of`.
+            arms: there.
         """
-        found = (_followed(run, times, positions if run.of_joints else tips,
-                           self._robot.joint_names) for run in self._runs)
+        robot, found = self._robot, []
+        for run in self._runs:
+            if run.of_joints:
+                measured = positions
+            else:
+                own = slice(robot.tips.index(run.tip) if run.tip else 0, None, len(robot.tips))
+                measured = places_of(robot, arms.tip_positions[own], arms.tip_rotations[own])
+            found.append(_followed(run, times, measured, robot.joint_names))
         return tuple(run for run in found if run is not None)
 
 
@@ -223,7 +245,7 @@ def _followed(
     worst = int(off[counted].argmax()) + (counted.start or 0)
     latest = int(lag[counted].argmax()) + (counted.start or 0)
     return ChunkRun(
-        run.of_joints, len(run.pieces), begin, end, float(np.median(lag[counted])),
+        run.of_joints, run.tip, len(run.pieces), begin, end, float(np.median(lag[counted])),
         float(lag[latest]), float(times[latest]), float(off[worst]), float(times[worst]),
         names[int(joint[worst])] if run.of_joints else '', float(turned[counted].max()), ended)
 

@@ -134,7 +134,7 @@ def chunk_rows(analysis: Analysis) -> list[tuple[str, ...]]:
         off = (f'{run.off:.3g} {units[run.joint]} ({run.joint})' if run.of_joints else
                f'{1e3 * run.off:.3g} mm, {np.degrees(run.turned):.2g}°')
         rows.append((
-            f'{run.chunks} of the {"joints" if run.of_joints else "tip"}',
+            f'{run.chunks} of ' + ('the joints' if run.of_joints else run.tip or 'the tip'),
             f'{run.begin:.2f} – {run.end:.2f} s',
             f'{1e3 * run.lag_median:.0f} / {1e3 * run.lag_longest:.0f} ms at {run.lag_at:.2f} s',
             f'{off} at {run.off_at:.2f} s', printable(word) or '–', run.ended or '–'))

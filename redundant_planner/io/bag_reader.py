@@ -103,6 +103,25 @@ class Bag:
                     not topic.name.startswith(self._prefix), topic.name.count('/')))
         return short
 
+    def of_tips(self, tips: Sequence[str], names: Sequence[str]) -> list[str]:
+        """Return by which names topics of several tips are read from now on: TIP/NAME.
+
+        By NAME alone none of them is any more.
+        """
+        recorded = {Topic(*topic) for file in self._files for topic in file.topics.values()}
+        short = []
+        for name in names:
+            own = [topic for topic in recorded if topic.kind in _EXPECTED[name]
+                   and topic.name.startswith(self._prefix)]
+            self._topics.pop(name, None)
+            for tip in tips:
+                ends = f'/{tip}/{name}'
+                found = [topic for topic in own if topic.name.endswith(ends)]
+                if found:
+                    short.append(f'{tip}/{name}')
+                    self._topics[short[-1]] = min(found, key=lambda topic: topic.name.count('/'))
+        return short
+
     @property
     def problems(self) -> list[str]:
         """What was wrong with it as far as it was read, a sentence each."""
@@ -150,7 +169,7 @@ class Bag:
                     for batch in batches.values():
                         yield from batch.chunk(self.origin_ns)
                 try:
-                    message = None if name in _AS_BYTES else _decoded(raw, kind)
+                    message = None if name.rsplit('/', 1)[-1] in _AS_BYTES else _decoded(raw, kind)
                 except Exception as error:  # another package's decoder, on bytes from anywhere
                     self.left_out.add(name, f'they cannot be decoded ({error})')
                     continue

@@ -12,11 +12,11 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from redundant_planner.core.planner import Planner
+from redundant_planner.io.tip_topics import OBJECT
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.tip_commands import TipCommands
-from redundant_planner.nodes.tip_topics import OBJECT
 
 # A subscription that each tick fetches, and who takes its messages.
 Inbox = tuple[PolledSubscription, Callable[[bytes], None]]

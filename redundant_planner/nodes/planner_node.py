@@ -30,6 +30,7 @@ from redundant_planner.io.node_parameters import (
 from redundant_planner.io.obstacle_sources import ObstacleSources
 from redundant_planner.io.parameter_files import RobotParameters
 from redundant_planner.io.payload import Payload
+from redundant_planner.io.tip_topics import OBJECT
 from redundant_planner.nodes import runtime
 from redundant_planner.nodes.chores import Chores
 from redundant_planner.nodes.command_input import CommandInput
@@ -50,7 +51,6 @@ from redundant_planner.nodes.startup import Startup
 from redundant_planner.nodes.throttled_log import ThrottledLog
 from redundant_planner.nodes.tick_phase import delay_to_middle
 from redundant_planner.nodes.tip_commands import TipCommands
-from redundant_planner.nodes.tip_topics import OBJECT
 from redundant_planner.nodes.topic_watch import TopicWatch
 from redundant_planner.nodes.transforms import transform_lookup
 from redundant_planner.paper.method import PaperPlanner, planner_of

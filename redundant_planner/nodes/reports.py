@@ -14,6 +14,7 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.io.software_version import with_version
+from redundant_planner.io.tip_topics import OBJECT_POSE
 from redundant_planner.nodes.body_writer import BodyWriter
 from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.endable_node import EndableNode
@@ -21,7 +22,6 @@ from redundant_planner.nodes.pose_messages import pose_to_message
 from redundant_planner.nodes.robot_markers import RobotMarkers
 from redundant_planner.nodes.settings import Settings
 from redundant_planner.nodes.state_report import diagnostics, progress_status, status_of
-from redundant_planner.nodes.tip_topics import OBJECT_POSE
 from redundant_planner.paper.method import PaperPlanner
 
 

@@ -12,8 +12,8 @@ from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Poses
 from redundant_planner.core.target.goal import Target, TipTargets
 from redundant_planner.core.target.moving_target import Sighting
+from redundant_planner.io.tip_topics import OBJECT
 from redundant_planner.nodes.command_input import CommandInput
-from redundant_planner.nodes.tip_topics import OBJECT
 
 Array = npt.NDArray[np.float64]
 

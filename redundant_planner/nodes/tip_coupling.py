@@ -12,9 +12,9 @@ from redundant_planner.core.planner import Planner
 from redundant_planner.core.redundancy.coupling import Coupling
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.robot.se3 import Pose, Poses
+from redundant_planner.io.tip_topics import OBJECT
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.tip_commands import TipCommands
-from redundant_planner.nodes.tip_topics import OBJECT
 from redundant_planner.paper.method import PaperPlanner
 
 Array = npt.NDArray[np.float64]

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
+from redundant_planner.io.tip_topics import OBJECT
 from redundant_planner.nodes.command_input import CommandInput
 from redundant_planner.nodes.command_output import NEVER_ENDING
 from redundant_planner.nodes.control_loop import ControlLoop
 from redundant_planner.nodes.last_word import LastWord, READY, STARTING
 from redundant_planner.nodes.other_publishers import publishers_of, why_nothing_comes
-from redundant_planner.nodes.tip_topics import OBJECT
 
 # How long the arm may take to say where it is before the log says that it waits [s]: nodes
 # announce themselves every 3 s.

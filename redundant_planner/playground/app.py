@@ -16,7 +16,7 @@ from rclpy.executors import Executor
 import viser
 
 from redundant_planner.core.errors import ObstacleError, PlannerError
-from redundant_planner.nodes.tip_topics import OBJECT
+from redundant_planner.io.tip_topics import OBJECT
 from redundant_planner.playground.drive import DeadMan, twist_of
 from redundant_planner.playground.drive_controls import DriveControls
 from redundant_planner.playground.item_controls import ItemControls

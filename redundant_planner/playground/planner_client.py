@@ -39,12 +39,12 @@ from redundant_planner.io.recorded_configuration import (
     recorded_walls,
 )
 from redundant_planner.io.robot_files import robot_of_values
+from redundant_planner.io.tip_topics import OBJECT, OBJECT_POSE, topic_of
 from redundant_planner.nodes.joint_messages import JointReader
 from redundant_planner.nodes.messages import twist_from_bytes, twist_to_message
 from redundant_planner.nodes.polled_subscription import PolledSubscription
 from redundant_planner.nodes.pose_messages import pose_of_message, pose_to_message
 from redundant_planner.nodes.target_text import goal_of_text, TARGET, text_of_tip
-from redundant_planner.nodes.tip_topics import OBJECT, OBJECT_POSE, topic_of
 
 Array = npt.NDArray[np.float64]
 

@@ -32,8 +32,8 @@ from std_msgs.msg import String
 
 from redundant_planner.core.errors import StateError
 from redundant_planner.io.recorded_configuration import configuration_of
+from redundant_planner.io.tip_topics import OBJECT, topic_of
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory, spin_once
-from redundant_planner.nodes.tip_topics import OBJECT, topic_of
 
 Array = npt.NDArray[np.float64]
 

@@ -23,10 +23,10 @@ from redundant_planner.core.robot.se3 import Pose
 from redundant_planner.core.target.goal import Goal
 from redundant_planner.core.target.progress import TargetState
 from redundant_planner.io.printable import printable
+from redundant_planner.io.tip_topics import OBJECT
 from redundant_planner.nodes.runtime import keep_off_shared_memory
 from redundant_planner.nodes.state_report import DOES_NOT_FOLLOW
 from redundant_planner.nodes.target_client import TargetClient
-from redundant_planner.nodes.tip_topics import OBJECT
 from redundant_planner.tools.asked_goal import joint_target_of, target_of
 from redundant_planner.tools.target_advice import explained
 

@@ -28,9 +28,9 @@ from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.bag_repair import repair
 from redundant_planner.io.bag_writer import BagWriter, message_type_known
 from redundant_planner.io.printable import printable
+from redundant_planner.io.tip_topics import OBJECT, OBJECT_POSE
 from redundant_planner.nodes.loop_clock import loop_clock
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
-from redundant_planner.nodes.tip_topics import OBJECT, OBJECT_POSE
 
 # Relative names, so that a namespace holds; ~ stands for the planner's name.
 TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'cmd_vel_preview', 'target_pose',

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bags import KINDS, ns
 from builtin_interfaces.msg import Duration, Time
-from conftest import PANDA_URDF
+from conftest import HANDS, make_two_handed, PANDA_URDF, two_handed_urdf
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as PathMessage
@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+import yaml
 
 from redundant_planner import Robot
 from redundant_planner.analysis.bag_analysis import analyse
-from redundant_planner.analysis.measure_tables import motion_measures
+from redundant_planner.analysis.measure_tables import chunk_rows, motion_measures
 from redundant_planner.analysis.planner_reports import PlannerReports
 from redundant_planner.analysis.report import page_of
 from redundant_planner.core.robot.quaternions import quaternion_of
@@ -165,6 +166,64 @@ def test_chunks_that_the_planner_refuses_are_left_out(tmp_path, robot):
     for part in ('they are over by their stamps', "it names 'elbow'", 'do not ascend',
                  "in frame 'table'"):
         assert part in notes, notes
+
+
+def test_each_of_several_tips_has_chunks_of_its_own(tmp_path):
+    """The left hand lags behind its path; the right one's ends with a twist, then all go on."""
+    hands = make_two_handed()
+    urdf, params, folder = tmp_path / 'hands.urdf', tmp_path / 'hands.yaml', tmp_path / 'bag'
+    urdf.write_text(two_handed_urdf())
+    params.write_text(yaml.safe_dump({'/**': {'ros__parameters': {
+        'urdf': str(urdf), 'tips': list(HANDS), 'link_radius': 0.03,
+        'link_shapes': 'straight'}}}))
+    rest = 0.5 * (hands.position_min + hands.position_max) + 0.3
+
+    def there(time, left=0.0):
+        q = rest.copy()
+        q[2:8] += 0.2 * (1.0 - np.cos(np.clip(time - left, 0.0, 2.98)))
+        q[8:] += 0.2 * (1.0 - np.cos(max(time, 0.0)))
+        return q
+
+    def path_of(tip, begin, end):
+        message = PathMessage()
+        message.header.frame_id, message.header.stamp = hands.base_frame, stamp(begin)
+        for i in range(round((end - begin) / 0.05) + 1):
+            pose = PoseStamped()
+            pose.header.stamp = stamp(begin + 0.05 * i)
+            arm = hands.kinematics(there(begin + 0.05 * i))
+            place, turn = pose.pose.position, pose.pose.orientation
+            place.x, place.y, place.z = arm.tip_positions[tip].tolist()
+            turn.x, turn.y, turn.z, turn.w = quaternion_of(arm.tip_rotations[tip]).tolist()
+            message.poses.append(pose)
+        return serialize_message(message)
+
+    with BagWriter(folder) as bag:
+        bag.add_topic('/joint_states', KINDS['joint_states'])
+        for hand in HANDS:
+            bag.add_topic(f'/{hand}/target_path', 'nav_msgs/msg/Path')
+            bag.add_topic(f'/{hand}/cmd_vel', KINDS['cmd_vel'])
+        for i in range(400):
+            now = DT * i
+            bag.write_joints('/joint_states', ns(now), hands.joint_names, there(now, LAG),
+                             np.zeros(hands.n))
+            if i in (2, 100):
+                begin = DT * i - 0.02
+                bag.write('/left_hand/target_path', ns(now), path_of(0, begin, begin + 2.0))
+            if i == 5:
+                bag.write('/right_hand/target_path', ns(now), path_of(1, 0.0, 3.0))
+            if i == 200:
+                bag.write_twist('/right_hand/cmd_vel', ns(now), np.zeros(6))
+    found = analyse(folder, params=params)
+    assert len(found.chunks) == 2, found.notes
+    (left, _), (right, _) = found.chunks
+    assert (left.tip, right.tip) == HANDS and not left.of_joints
+    assert (left.chunks, right.chunks) == (2, 1)
+    assert left.lag_median == pytest.approx(LAG, abs=0.02)
+    assert right.lag_median == pytest.approx(0.0, abs=0.02)
+    assert max(left.off, right.off) < 1e-3
+    assert left.ended == '' and right.ended == 'right_hand/cmd_vel'
+    assert right.end == pytest.approx(2.0, abs=0.02)
+    assert [row[0] for row in chunk_rows(found)] == ['2 of left_hand', '1 of right_hand']
 
 
 @pytest.mark.parametrize(('words', 'time', 'said_then'), [

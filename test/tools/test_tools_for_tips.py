@@ -17,8 +17,8 @@ import pytest
 from std_srvs.srv import SetBool
 
 from redundant_planner.core.errors import StateError
+from redundant_planner.io.tip_topics import topic_of
 from redundant_planner.nodes.target_text import text_of_tip
-from redundant_planner.nodes.tip_topics import topic_of
 from redundant_planner.tools.go_to import main as go_to
 
 BODY = make_two_handed()
