@@ -237,7 +237,7 @@ class Planner:
         way. The next step becomes shorter by that, and nothing else changes.
 
         Returns:
-            Whether it did one of the last two, which take longer than most ticks.
+            Whether it did one of the last two, which may take a large part of a period.
         """
         return self._aiming.catch_up(
             chose=self._watch.prepare(self._scene_of(scene), self._last.dq))

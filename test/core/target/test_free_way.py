@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 
 from conftest import examples, make_panda, make_paper_arm, PANDA_READY, PANDA_URDF
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 import numpy as np
 import pytest
 from target_run import AT_REST, DT, EMPTY, moved, PANDA, Run, tip
@@ -200,6 +201,40 @@ def test_the_same_inputs_give_the_same_motion_whether_it_thinks_ahead_of_ticks_o
         run.to(lambda t: last if t < 0.02 or t > 0.3 else first, 4.0, lambda t: Scene.of(
             [WALL, ball.after(t)] if moves else [WALL]))
     assert TargetState.THINKING in states(runs[0]) and TargetState.MOVING in states(runs[0])
+    np.testing.assert_array_equal(runs[0].positions, runs[1].positions)
+
+
+HAPPENS = ('another target', 'missed', 'braked', 'held', 'let go', 'parameters', 'reset', 'twist')
+
+
+@settings(max_examples=examples(25), deadline=None)
+@given(st.lists(st.tuples(st.integers(1, 120), st.sampled_from(HAPPENS)), min_size=2, max_size=8))
+@example([(400, 'another target'), (60, 'parameters'), (300, 'another target'), (5, 'missed')])
+def test_whatever_happens_is_the_same_whether_it_thinks_ahead_of_ticks_or_in_them(events):
+    scene, box = Scene.of([WALL]), Obstacle.box('box', (0.0, 0.0, 0.08), (0.04, 0.04, 0.04))
+    targets = [tip(PANDA, RIGHT), tip(PANDA, LEFT)]
+    runs = [Run(start=LEFT), Run(start=LEFT, ahead=True)]
+    for run in runs:
+        planner, which = run.planner, 0
+        for ticks, what in events:
+            run.to(lambda _: targets[which], ticks * DT, scene)  # noqa: B023
+            if what == 'another target':
+                which = 1 - which
+            elif what == 'missed':
+                planner.missed(3)
+                run.q = run.q + 3 * DT * run.results[-1].dq
+            elif what == 'braked':
+                dq = 0.9 * run.results[-1].dq
+                planner.braked(dq, DT)
+                run.q = run.q + DT * dq
+            elif what in ('held', 'let go'):
+                planner.hold([box] if what == 'held' else [])
+            elif what == 'parameters':
+                planner.parameters = replace(planner.parameters, feedback_gain=1.5)
+            elif what == 'reset':
+                planner.reset()
+            else:
+                run.let_go(scene)
     np.testing.assert_array_equal(runs[0].positions, runs[1].positions)
 
 
