@@ -12,7 +12,7 @@ from redundant_planner.core.target.joint_curve import lengths_along
 
 Array = npt.NDArray[np.float64]
 
-# So many are remembered, the latest; of those whose ends are so near each other's, one [rad, m].
+# So many are remembered, the latest; ends of ways that are so near each other are one [rad, m].
 _MOST, _SAME = 8, 0.05
 # What leads onto a way and off it again may be this share of what it leads along.
 _ASIDE = 0.1
@@ -34,8 +34,6 @@ class Part(NamedTuple):
     length: float
 
 
-
-
 class PastWays:
     """The latest ways of one arm."""
 
@@ -44,8 +42,10 @@ class PastWays:
         self._ways: list[Array] = []
 
     def note(self, postures: Array) -> None:
-        """Remember a way (k, n), from its start to its end [rad, m]."""
+        """Remember a way (k, n), from its start to its end, unless that is where it began."""
         ends = postures[[0, -1]]
+        if np.abs(ends[1] - ends[0]).max() <= _SAME:
+            return
         others = [way for way in self._ways
                   if min(np.abs(way[[0, -1]] - ends).max(), np.abs(way[[-1, 0]] - ends).max())
                   > _SAME]

@@ -82,6 +82,7 @@ def test_of_ways_between_the_same_ends_the_latest_is_remembered():
     assert shortest(past, ends[0], ends[1:]).length < 1.1
     for step in range(20):
         past.note(ends + (2.0 + step, 0.0, 0.0))
+        past.note(ends[:1] + (np.zeros(3), np.full(3, 0.04)))  # one that was left at once
     assert len(past.ends) == 16
     np.testing.assert_array_equal(past.ends[0], ends[1] + (21.0, 0.0, 0.0))
     assert shortest(past, ends[0], ends[1:]) is None
