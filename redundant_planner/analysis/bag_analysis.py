@@ -256,8 +256,8 @@ class _Motion:
         if things is None:
             return
         try:
-            # Which tips hold it is not known here: those that do may touch it.
-            clearance.hold(robot.holding(things, by_all=True))
+            # Clearance is that to obstacles: which links may touch the thing does not count.
+            clearance.hold(robot.holding(things))
         except ObstacleError as error:
             self._bag.left_out.add('attached', str(error))
             return
