@@ -45,6 +45,7 @@ from redundant_planner.core.horizon import look_ahead
 from redundant_planner.core.horizon.evasive_plan import EvasivePlan
 from redundant_planner.core.horizon.multi_start import MultiStart
 from redundant_planner.core.parameters import METHODS, PlannerParameters
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.core.target.coming_back import ComingBack
 from redundant_planner.core.target.progress import TargetState
@@ -183,7 +184,7 @@ def _problem(seed: int, parameters: PlannerParameters) -> Figures:
     robot, families = _panda(), list(FAMILIES)
     problem = generated.generate(robot, seed, families[seed % len(families)], 0)
     parameters = replace(parameters, clearance_margin=_PROBLEM_MARGIN)
-    step = planner_step(robot, parameters, problem, to_target=True)
+    step = planner_step(Planner(robot, parameters), problem, to_target=True)
     outcome = _problem_judge().judge(problem, servo(robot, problem, step, to_target=True))
     return {'reached': float(outcome.reached), 'seconds': outcome.time,
             'joint path': outcome.path, 'hits': float(collided(outcome)),

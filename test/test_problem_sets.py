@@ -19,17 +19,20 @@ from redundant_planner.core.obstacles.obstacle import Obstacle
 from redundant_planner.core.obstacles.scene import Scene
 from redundant_planner.core.obstacles.self_collision import link_distances
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
+from redundant_planner.core.robot.se3 import pose_error
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmark.bodies import capsules_of
 from benchmark.free_way import FreeWay
-from benchmark.problem_sets.__main__ import main
+from benchmark.problem_sets.__main__ import main, run
 from benchmark.problem_sets.explanation import line_blocked
 from benchmark.problem_sets.families import FAMILIES
 from benchmark.problem_sets.generated import generate, posture_at
 from benchmark.problem_sets.moveit_files import find_files, ProblemFileError, read_problem
 from benchmark.problem_sets.problem import fault_of, Problem, settled, tip_pose
-from benchmark.problem_sets.servo import planner_step, servo, servo_twist
+from benchmark.problem_sets.servo import planner_step, servo, servo_twist, there_and_back
+from benchmark.problem_sets.workers import Task
 from benchmark.robots import make_robot
 
 MARGINS = PlannerParameters()
@@ -280,8 +283,24 @@ def test_ways_out_of_corners_are_found(family, number):
     """From these starts nearly all motions of half a radian are blocked."""
     robot = make_robot('panda', 6)
     problem = generate(robot, 0, family, number)
-    step = planner_step(robot, PlannerParameters(clearance_margin=0.01), problem, to_target=True)
+    planner = Planner(robot, PlannerParameters(clearance_margin=0.01))
+    step = planner_step(planner, problem, to_target=True)
     assert servo(robot, problem, step, to_target=True).reached
+
+
+def test_there_and_back_again_it_sets_off_earlier():
+    robot = make_robot('panda', 6)
+    problem = generate(robot, 0, 'cage', 36)
+    first, again = (run([(0, 'cage', 36)], Task(
+        ('dynamic_factor',), 0.01, to_target=True, again=again), 1)['dynamic_factor']
+        for again in (False, True))
+    assert first['reached'] == again['reached'] == 1.0
+    assert again['limit_violations'] == 0
+    assert again['thought_median'] < first['thought_median']
+    planner = Planner(robot, PlannerParameters(clearance_margin=0.01))
+    begun = there_and_back(planner, problem)
+    off = pose_error(tip_pose(robot, problem.start), tip_pose(robot, begun.start), False)
+    assert np.linalg.norm(off[:3]) < 0.005 and np.linalg.norm(off[3:]) < 0.02
 
 
 def test_the_fastest_motion_along_a_line_is_bang_bang():

@@ -69,6 +69,8 @@ def _options(args: list[str] | None) -> argparse.Namespace:
     parser.add_argument('--toppra', action='store_true',
                         help='compare the time of every motion with the shortest on the same '
                         'path (TOPP-RA, jerk not limited)')
+    parser.add_argument('--again', action='store_true',
+                        help='with --command target_pose: once the arm has gone there and back')
     parser.add_argument('--roboplan', action='store_true',
                         help="besides, RoboPlan's RRT-Connect, shortcuts and TOPP-RA, which get "
                         "the goal's posture")
@@ -80,6 +82,8 @@ def _options(args: list[str] | None) -> argparse.Namespace:
     options = parser.parse_args(args)
     if (options.folder is None) != options.generated:
         parser.error('give either a folder or --generated')
+    if options.again and options.command != 'target_pose':
+        parser.error('--again takes --command target_pose')
     if options.count is not None and options.count < 1:
         parser.error(f'--count is {options.count}; it takes 1 or more')
     return options
@@ -149,7 +153,7 @@ def main(args: list[str] | None = None) -> int:
             return 2
         methods.append(ROBOPLAN_RRT)
     task = Task(tuple(methods), options.margin, options.explain,
-                options.command == 'target_pose', options.optimum, options.toppra)
+                options.command == 'target_pose', options.optimum, options.toppra, options.again)
     try:
         result = run(_jobs(options), task, options.jobs)
     except ProblemFileError as error:

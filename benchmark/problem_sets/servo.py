@@ -8,6 +8,7 @@ its target, and finds its own way.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 import time
 from typing import NamedTuple
 
@@ -34,6 +35,8 @@ _GAIN = 2.0
 _SPEED, _ANGULAR_SPEED = 0.25, 1.0
 # The goal is reached within these [m, rad].
 _NEAR, _NEAR_ANGLE = 0.005, 0.02
+# An arm this slow has come to rest [rad/s].
+_AT_REST = 1e-6
 # An arm that has moved less than this in that time will not go on [rad, s]; with a target it may
 # still think.
 _STANDING, _PATIENCE, _PATIENCE_WITH_TARGET = 1e-3, 3.0, 8.0
@@ -100,14 +103,11 @@ def servo(
                1e6 * np.array(ticks), reached, '' if reached else reason)
 
 
-def planner_step(
-    robot: Robot, parameters: PlannerParameters, problem: Problem, filtered: bool = True, *,
-    to_target: bool = False,
-) -> Step:
+def planner_step(planner: Planner, problem: Problem, *, to_target: bool = False) -> Step:
     """Return this package's step for a problem, by twists or to the goal as a target."""
-    planner, scene = Planner(robot, parameters, filtered=filtered), Scene.of(problem.obstacles)
+    scene = Scene.of(problem.obstacles)
     planner.prepare(scene)
-    target = tip_pose(robot, problem.goal) if to_target else None
+    target = tip_pose(planner.robot, problem.goal) if to_target else None
 
     def step(q: Array, twist: Array) -> tuple[Array, str]:
         result = planner.step(q, twist, scene, DT, target=target)
@@ -115,6 +115,20 @@ def planner_step(
         return result.dq, state + result.reason
 
     return step
+
+
+def there_and_back(planner: Planner, problem: Problem) -> Problem:
+    """Go to the goal and back; return the problem from where the arm then stands."""
+    here = problem.start
+    for goal in (problem.goal, problem.start):
+        part = replace(problem, start=here, goal=goal)
+        step = planner_step(planner, part, to_target=True)
+        here = servo(planner.robot, part, step, to_target=True).postures[-1]
+        dq = np.ones_like(here)
+        while np.abs(dq).max() > _AT_REST:
+            dq, _ = step(here, np.zeros(6))
+            here = here + DT * dq
+    return replace(problem, start=here)
 
 
 def peer_step(robot: Robot, name: str, problem: Problem, margin: float) -> Step:

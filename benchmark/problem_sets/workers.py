@@ -13,10 +13,18 @@ from benchmark.problem_sets.generated import generate
 from benchmark.problem_sets.judgement import collided, Judge, Outcome
 from benchmark.problem_sets.moveit_files import ProblemFileError, read_problem
 from benchmark.problem_sets.problem import fault_of, Problem, settled
-from benchmark.problem_sets.servo import LONGEST, peer_step, planner_step, servo, Step
+from benchmark.problem_sets.servo import (
+    LONGEST,
+    peer_step,
+    planner_step,
+    servo,
+    Step,
+    there_and_back,
+)
 from benchmark.robots import make_robot
 from benchmark.scenarios import METHODS as SCENARIO_METHODS, UNFILTERED
 from redundant_planner.core.parameters import PlannerParameters
+from redundant_planner.core.planner import Planner
 from redundant_planner.core.robot.model import Robot
 from redundant_planner.io.resources import panda_urdf
 
@@ -43,6 +51,7 @@ class Task(NamedTuple):
         to_target: whether this package's methods get the goal as a target.
         optimum: whether to look for the shortest joint path from each way found.
         fastest: whether to look how fast each way can be followed.
+        again: whether this package's methods have gone there and back before.
         longest: run [s].
     """
 
@@ -52,6 +61,7 @@ class Task(NamedTuple):
     to_target: bool = False
     optimum: bool = False
     fastest: bool = False
+    again: bool = False
     longest: float = LONGEST
 
 
@@ -124,8 +134,9 @@ class Worker:
             outcome = self.judge.judge(problem, run)
             outcome = replace(outcome, thought=outcome.cpu)
         else:
-            run = servo(self.robot, problem, _step(self.robot, name, problem, task),
-                        task.longest, to_target=task.to_target and name in METHODS)
+            problem, step = _begun(self.robot, name, problem, task)
+            run = servo(self.robot, problem, step, task.longest,
+                        to_target=task.to_target and name in METHODS)
             outcome = self.judge.judge(problem, run)
         if task.fastest and run.reached:
             from benchmark.problem_sets.fastest import fastest_time
@@ -138,16 +149,18 @@ class Worker:
         return outcome
 
 
-def _step(robot: Robot, name: str, problem: Problem, task: Task) -> Step:
-    """Return the step of a method by name."""
+def _begun(robot: Robot, name: str, problem: Problem, task: Task) -> tuple[Problem, Step]:
+    """Return a problem as a method by name begins it, and the step of the method."""
     if name in METHODS:
         given: PlannerParameters = METHODS[name]
         kept = max(given.clearance_margin, task.margin) if task.to_target else task.margin
         parameters = replace(given, clearance_margin=kept, target_margin=task.margin)
-        return planner_step(robot, parameters, problem, filtered=name not in UNFILTERED,
-                            to_target=task.to_target)
+        planner = Planner(robot, parameters, filtered=name not in UNFILTERED)
+        if task.again:
+            problem = there_and_back(planner, problem)
+        return problem, planner_step(planner, problem, to_target=task.to_target)
     try:
-        return peer_step(robot, name, problem, task.margin)
+        return problem, peer_step(robot, name, problem, task.margin)
     except MissingPeerError as error:
         raise ProblemFileError(str(error)) from None
 

@@ -24,23 +24,23 @@ def make_input():
     return lambda: ObstacleInput(['obstacles'], nowhere, PERIOD, Guard(pytest.fail), pytest.fail)
 
 
-@given(st.lists(st.tuples(st.booleans(), st.floats(-1.0, 2.0)), max_size=50),
-       st.floats(0.0, 2.0))
+@given(st.lists(st.tuples(st.booleans(), st.floats(-PERIOD, 2.0 * PERIOD)), max_size=50),
+       st.floats(0.0, 2.0 * PERIOD))
 def test_no_message_is_put_off_more_than_twice(make_input, ticks, took):
     """Nor is any that fits in, nor one that would delay a tick at any time."""
     queue = make_input()
-    queue.took = took * PERIOD
+    queue.took = took
     times, waiting = 0, False
     for comes, left in ticks:
         if comes and not waiting:
             queue.on_message(b'')
             waiting = True
-        if queue.put_off(left * PERIOD):
+        if queue.put_off(left):
             times += 1
             assert waiting and times <= 2
-            assert left < took < 1.0
+            assert left < took < PERIOD
             continue
-        assert not waiting or times == 2 or left >= took or took >= 1.0
+        assert not waiting or times == 2 or left >= took or took >= PERIOD
         queue.read(0.0)
         times, waiting = 0, False
 
