@@ -24,7 +24,7 @@ from redundant_planner.core.target.joint_curve import lengths_along
 from redundant_planner.core.target.past_ways import COST_OF_WAY, Part, PastWays
 from redundant_planner.core.target.random_postures import informed_samples, near_trees
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
-from redundant_planner.core.target.straight_motion import Motion, new_motion
+from redundant_planner.core.target.straight_motion import COST_OF_CALL, Motion, new_motion
 from redundant_planner.core.target.tree_growth import (
     cut_off,
     enlarged,
@@ -236,6 +236,8 @@ class PathSearch:
         for one, other in pairwise(way):
             if not (yield from self._space.is_free_between(one, other, needed, motion)):
                 return False
+            self._space.spend(COST_OF_CALL)  # what it takes to begin to look at one
+            yield
         return True
 
     def _price_of(self, way: Way, room: float) -> float:

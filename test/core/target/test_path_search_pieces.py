@@ -24,6 +24,7 @@ from redundant_planner.core.target.curve_search import CurveSearch, OVERLAP
 from redundant_planner.core.target.free_way import Stretch
 from redundant_planner.core.target.joint_curve import JointCurve, resampled
 from redundant_planner.core.target.joint_way import JointWay
+from redundant_planner.core.target.past_ways import PastWays
 from redundant_planner.core.target.shortcuts import COUNT, new_shortening, NUMBERS, shorten
 from redundant_planner.core.target.straight_motion import COST_OF_CALL, new_motion, usual_work
 from redundant_planner.core.target.tree_growth import (
@@ -378,13 +379,23 @@ def test_goals_that_come_later_find_memory():
     assert trees.numbers[1] == trees.postures.shape[1] - 1
 
 
+@pytest.mark.parametrize('went_before', [False, True])
 @pytest.mark.parametrize('work', [100_000, 1_000_000])
-def test_a_tick_thinks_no_longer_than_it_may(work):
+def test_a_tick_thinks_no_longer_than_it_may(work, went_before):
     """A piece of work is what is left of it: only what cannot be parted goes beyond."""
-    random = np.random.default_rng(5)
-    space = space_among([WALL, *crowd(random)])
-    search = CurveSearch(space, LEFT, stacked(tip(ROBOT, RIGHT)), space.joints.scaling,
-                         gives_way=False)
+    random, past = np.random.default_rng(5), PastWays()
+    space = space_among([WALL] if went_before else [WALL, *crowd(random)])
+
+    def new_search():
+        return CurveSearch(space, LEFT, stacked(tip(ROBOT, RIGHT)), space.joints.scaling,
+                           gives_way=False, past=past)
+
+    if went_before:
+        search = new_search()
+        while search.found is None:
+            search.think(work, any_way=True)
+        past.note(JointCurve(search.found).at(np.linspace(0.0, len(search.found) - 1.0, 100)))
+    search = new_search()
     spent = []
     for _ in range(40_000_000 // work):
         before = space.spent
@@ -392,5 +403,6 @@ def test_a_tick_thinks_no_longer_than_it_may(work):
         spent.append(space.spent - before)
         if search.found is not None:
             search.improve(np.repeat(search.found[:1], OVERLAP + 1, axis=0), 0.0)
+    assert search.search.went_before == went_before
     assert max(spent) < work + 350_000
     assert work <= np.mean(spent) < work + 60_000
