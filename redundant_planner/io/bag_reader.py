@@ -119,7 +119,8 @@ class Bag:
                 found = [topic for topic in own if topic.name.endswith(ends)]
                 if found:
                     short.append(f'{tip}/{name}')
-                    self._topics[short[-1]] = min(found, key=lambda topic: topic.name.count('/'))
+                    self._topics[short[-1]] = min(
+                        found, key=lambda topic: (topic.name.count('/'), topic.name))
         return short
 
     @property

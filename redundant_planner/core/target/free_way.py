@@ -267,12 +267,14 @@ class FreeWay:
         assert self._target is not None
         self._space, self._look_age = space, 0.0
         stop, target, seed = self._stop, self._target, self._searches
+        # Where the arm was stopped, something that nobody sees may be in the way of a known one.
+        past = self._past if seed == 0 else None
         self._searches += 1
 
         def begin() -> None:
             self._finder = CurveSearch(
                 space, stop, target, self._scaling, gives_way=self._gives_way, seed=seed,
-                past=self._past)
+                past=past)
 
         self._put_off = begin
 

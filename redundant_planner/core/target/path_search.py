@@ -157,9 +157,12 @@ class PathSearch:
 
         They end at a goal. `work` begins anew.
         """
+        forgiven = self._space.arena.forgiven.copy()
         self._start = self._space.begin_at(rest[0])
         self.goals.begin_at(rest[0])
         self._blocked.clear()
+        if not np.array_equal(forgiven, self._space.arena.forgiven):
+            self._unmet.clear()  # what their postures' room is, is not known any more
         self._unmet = {room: (with_start(trees, *self._start), rooted)
                        for room, (trees, rooted) in self._unmet.items()}
         last = min(self.goals.places, key=lambda goal: float(np.abs(goal.q - rest[-1]).max()))

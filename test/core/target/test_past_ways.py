@@ -8,7 +8,7 @@ from itertools import pairwise
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
-from target_run import PANDA, Run, tip
+from target_run import DT, PANDA, Run, STILL, tip
 from test_free_space import space_among
 
 from benchmark.bodies import capsules_of
@@ -163,6 +163,21 @@ def test_other_parameters_do_not_make_it_forget():
     run.to(tip(PANDA, LEFT), 15.0, BEHIND_WALL)
     thinking = [result.progress.state is TargetState.THINKING for result in run.results]
     assert sum(thinking[back:]) < sum(thinking[:back])
+
+
+def test_a_way_on_which_the_arm_was_stopped_is_not_taken_again():
+    """Something that nobody sees holds it: other ways are tried then."""
+    run, back = Run(start=LEFT), tip(PANDA, LEFT)
+    run.to(tip(PANDA, RIGHT), 15.0, BEHIND_WALL)
+    way = run.planner._aiming._way._free
+    run.to(back, 0.5, BEHIND_WALL)
+    assert way._finder.search.went_before
+    while way._searches == 1:
+        run.planner.step(run.q, STILL, BEHIND_WALL, DT, target=back)
+    for _ in range(100):
+        run.planner.step(run.q, STILL, BEHIND_WALL, DT, target=back)
+    assert not way._finder.search.went_before
+    assert run.to(back, 15.0, BEHIND_WALL).state is TargetState.REACHED
 
 
 def test_a_way_that_is_left_half_way_is_remembered_as_far_as_it_was_gone():
