@@ -38,7 +38,7 @@ from redundant_planner.io.recorded_configuration import (
     recorded_obstacles,
 )
 from redundant_planner.io.recorded_inputs import as_it_is, sound_twist
-from redundant_planner.io.tip_topics import OBJECT
+from redundant_planner.io.tip_topics import OBJECT, OF_TIPS
 
 Array = npt.NDArray[np.float64]
 
@@ -46,8 +46,6 @@ Array = npt.NDArray[np.float64]
 _SLOW = 0.01
 _CHUNKS = ('target_path', 'target_trajectory')
 _TARGETS = ('target_pose', 'target_joints', *_CHUNKS)
-# What each of several tips has, and what they hold.
-_OF_TIPS = ('cmd_vel', 'target_pose', 'target_path')
 _TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'attached', 'diagnostics', 'target',
            *_TARGETS)
 
@@ -121,7 +119,7 @@ class _Motion:
         self._found, self._reports = found, PlannerReports()
         self._topics = bag.call(obstacle_topics(values))
         tips = robot.tips if robot is not None and len(robot.tips) > 1 else ()
-        self._of_tips = bag.of_tips((*tips, OBJECT), _OF_TIPS) if tips else []
+        self._of_tips = bag.of_tips((*tips, OBJECT), OF_TIPS) if tips else []
         self._tracker = ObstacleSources.of(
             len(self._topics), recorded_obstacles(values, notes), (), transform=as_it_is,
             estimate_velocity=False)

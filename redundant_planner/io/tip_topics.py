@@ -8,6 +8,8 @@ from redundant_planner.core.errors import known, StateError
 
 # What coupled tips hold: the name of its topics and of its frame.
 OBJECT = 'object'
+# What each of several tips hears, and what they hold.
+OF_TIPS = ('cmd_vel', 'target_pose', 'target_path')
 # Where the planner says where that is, while the tips hold it.
 OBJECT_POSE = f'{OBJECT}/pose'
 

@@ -28,7 +28,7 @@ from redundant_planner.core.errors import PlannerError
 from redundant_planner.io.bag_repair import repair
 from redundant_planner.io.bag_writer import BagWriter, message_type_known
 from redundant_planner.io.printable import printable
-from redundant_planner.io.tip_topics import OBJECT, OBJECT_POSE
+from redundant_planner.io.tip_topics import OBJECT, OBJECT_POSE, OF_TIPS
 from redundant_planner.nodes.loop_clock import loop_clock
 from redundant_planner.nodes.runtime import best_executor, keep_off_shared_memory
 
@@ -37,8 +37,6 @@ TOPICS = ('joint_states', 'joint_command', 'cmd_vel', 'cmd_vel_preview', 'target
           'target_joints', 'target_path', 'target_trajectory', 'obstacles', 'attached',
           'robot_description', '~/configuration', '~/ticks', '~/target', '~/markers',
           '/diagnostics')
-# What each of several tips has, and what they hold.
-_OF_TIPS = 'cmd_vel', 'target_pose', 'target_path'
 _DEPTH = 5000
 # How often the recorder looks for topics that have appeared, and hands the system what it has [s].
 _LOOK = 0.1
@@ -105,10 +103,10 @@ class Recorder:
             return
         topics = [topic for topic, _ in heard]
         # One by one they become known: of several tips nothing says which is the last.
-        self._tips_known = f'{space}/{_OF_TIPS[1]}' in topics
-        if f'{space}/{OBJECT}/{_OF_TIPS[1]}' in topics:
+        self._tips_known = f'{space}/{OF_TIPS[1]}' in topics
+        if f'{space}/{OBJECT}/{OF_TIPS[1]}' in topics:
             own = [topic for topic in topics if topic.startswith(f'{space}/')
-                   and topic.removeprefix(f'{space}/').partition('/')[2] in _OF_TIPS]
+                   and topic.removeprefix(f'{space}/').partition('/')[2] in OF_TIPS]
             self._topics += [topic for topic in (*own, f'{space}/{OBJECT_POSE}')
                              if topic not in self._topics]
 
